@@ -45,6 +45,9 @@ from worker.tasks import (
 START_SECONDS = 120.0
 """Seconds within which the first workers come: the fork server imports and loads kernels first."""
 
+WELCOME_SECONDS = 0.1
+"""Seconds after which it is looked whether somebody still waits for them."""
+
 RETRY_SECONDS = 1.0
 """Seconds until a process is started again that ended before it took jobs."""
 
@@ -99,10 +102,16 @@ class LocalPool:
     together = MAX_TASK_TEXELS
     keeps_light = True
 
-    def __init__(self, workers: int, kinds: Collection[str] = PLAIN_LAYER_KINDS) -> None:
+    def __init__(
+        self,
+        workers: int,
+        kinds: Collection[str] = PLAIN_LAYER_KINDS,
+        stopped: threading.Event | None = None,
+    ) -> None:
         """Start ``workers`` processes, which load or compile kernels of layers of these ``kinds``.
 
-        Raises WorkersError. Their environment is that of now.
+        Raises WorkersError, also if it is ``stopped`` before they have come. Their environment is
+        that of now.
         """
         self._start = Start(dict(os.environ), worker_niceness(), tuple(kinds))
         self._number = workers
@@ -123,9 +132,9 @@ class LocalPool:
             for _ in range(workers):
                 self._workers.append(self._begin())
             for worker in self._workers:
-                self._welcome(worker)
+                self._welcome(worker, stopped or threading.Event())
         except Exception as error:
-            self._end()
+            self._end(0.0)
             raise WorkersError(f"Cannot start the workers: {error}") from error
         self._keeper = threading.Thread(target=self._keep, name="workers", daemon=True)
         self._keeper.start()
@@ -323,18 +332,26 @@ class LocalPool:
             process.start()
         return LocalWorker(process, jobs, answers)
 
-    def _welcome(self, worker: LocalWorker) -> None:
-        """Wait until a process takes jobs; raises EOFError and TimeoutError."""
-        if not worker.answers.poll(START_SECONDS):
-            raise TimeoutError(f"none has come within {START_SECONDS:g} seconds.")
+    def _welcome(self, worker: LocalWorker, stopped: threading.Event) -> None:
+        """Wait until a process takes jobs; raises EOFError and TimeoutError, and WorkersAwayError
+        once nobody wants it any more.
+        """
+        deadline = time.monotonic() + START_SECONDS
+        while not worker.answers.poll(WELCOME_SECONDS):
+            if stopped.is_set():
+                raise WorkersAwayError("they were stopped before they came.")
+            if time.monotonic() > deadline:
+                raise TimeoutError(f"none has come within {START_SECONDS:g} seconds.")
         worker.answers.recv_bytes()
         worker.here = True
 
-    def _end(self) -> None:
-        """End all processes, and return when they have ended."""
+    def _end(self, seconds: float = CLOSING_SECONDS) -> None:
+        """End all processes, which have some ``seconds`` to end by themselves, and return when they
+        have ended.
+        """
         for worker in self._workers:
             worker.jobs.close()
-        deadline = time.monotonic() + CLOSING_SECONDS
+        deadline = time.monotonic() + seconds
         for worker in self._workers:
             if not ended(worker.answers, deadline):
                 with suppress(OSError):

@@ -1,5 +1,6 @@
 """What the baker asks of worker processes: those of this machine, or those of a Dask scheduler."""
 
+import threading
 from collections.abc import Callable, Collection, Sequence
 from typing import Protocol
 
@@ -89,12 +90,16 @@ class WorkerPool(Protocol):
 
 
 def start_pool(
-    workers: int, scheduler: str | None = None, kinds: Collection[str] = PLAIN_LAYER_KINDS
+    workers: int,
+    scheduler: str | None = None,
+    kinds: Collection[str] = PLAIN_LAYER_KINDS,
+    stopped: threading.Event | None = None,
 ) -> WorkerPool:
     """Start ``workers`` processes of one thread each, or join a ``scheduler``.
 
     Workers started here load or compile the kernels that bake layers of these ``kinds`` at once.
-    Raises WorkersError, and WorkersAwayError if the scheduler is not there.
+    Raises WorkersError, also if it is ``stopped`` before they have come, and WorkersAwayError if
+    the scheduler is not there.
     """
     if scheduler is not None:
         from worker.dask_pool import DaskPool  # noqa: PLC0415 (loads Dask)
@@ -102,7 +107,7 @@ def start_pool(
         return DaskPool(scheduler)
     from worker.local_pool import LocalPool  # noqa: PLC0415 (it imports this)
 
-    return LocalPool(workers, kinds)
+    return LocalPool(workers, kinds, stopped)
 
 
 def all_ended(tasks: Sequence[BakeTask], done: AllDone) -> Callable[..., None]:

@@ -134,6 +134,8 @@ class Workforce:
                 self._error = None
                 return
             except IsogiError as error:
+                if self._stopped.is_set():
+                    return
                 self._error = error
                 log.error("%s", error)
             except Exception as error:
@@ -146,7 +148,7 @@ class Workforce:
     def _employ(self, kinds: Collection[str]) -> None:
         if self._store.scheme == "memory":
             raise WorkersError(MEMORY_STORE_UNSEEN)
-        self._pool = pool.start_pool(self._workers, self._scheduler, kinds)
+        self._pool = pool.start_pool(self._workers, self._scheduler, kinds, self._stopped)
         self._pool.attend(self._baker.stir)
         self._baker.employ(self._pool)
         self._baker.prepare()

@@ -130,7 +130,7 @@ def test_asking_again_and_again_is_enough(begin: Begin) -> None:
 def test_workers_come_after_the_start(begin: Begin, monkeypatch: pytest.MonkeyPatch) -> None:
     come = threading.Event()
 
-    def hire(workers: int, scheduler: str | None, kinds: Collection[str]) -> InlinePool:
+    def hire(workers: int, scheduler: str | None, kinds: Collection[str], _: object) -> InlinePool:
         assert come.wait(LONG)
         return InlinePool(workers)
 
@@ -152,7 +152,7 @@ def test_workers_of_this_machine_share_the_scene(begin: Begin, scene: Scene) -> 
 def test_workers_are_hired_once(begin: Begin, monkeypatch: pytest.MonkeyPatch) -> None:
     hired = []
 
-    def hire(workers: int, scheduler: str | None, kinds: Collection[str]) -> InlinePool:
+    def hire(workers: int, scheduler: str | None, kinds: Collection[str], _: object) -> InlinePool:
         hired.append(InlinePool(workers))
         return hired[0]
 
@@ -216,7 +216,7 @@ def test_a_scheduler_that_comes_later_is_joined_then(
 def test_anything_that_keeps_workers_from_coming_is_told(
     begin: Begin, monkeypatch: pytest.MonkeyPatch, error: Exception, told: str
 ) -> None:
-    def fail(workers: int, scheduler: str | None, kinds: Collection[str]) -> None:
+    def fail(workers: int, scheduler: str | None, kinds: Collection[str], _: object) -> None:
         raise error
 
     monkeypatch.setattr(pool, "start_pool", fail)
