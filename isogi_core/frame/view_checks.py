@@ -26,6 +26,7 @@ from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.control_pixels import (
     CONTROLS_IF_MISSED,
     FIRST_CONTROLS,
+    LAST_PATHS,
     MAX_CONTROLS,
     ControlPixels,
     TotalError,
@@ -144,6 +145,8 @@ class PictureCheck:
             ):
                 return self._climb(frame)
             return self._add_controls(frame, frame.measured, uncertainty, tiles)
+        if self._blurred(frame, frame.measured):
+            return self._deepen(frame.gbuffer, tiles)
         plan = self._cheapest(frame, frame.measured, uncertainty, climbs, prices, tiles)
         first = 2.0 * self.known.paths * FIRST_CONTROLS
         last = self._control_paths(frame.measured, self._aim(frame.measured))
@@ -168,6 +171,24 @@ class PictureCheck:
         else:
             most = CONTROLS_IF_MISSED
         return measured.low > self.known.target or measured.controls >= most
+
+    def _blurred(self, frame: Frame, measured: TotalError) -> bool:
+        """Whether a picture seems to be at its target, and what leaves it open is the noise of the
+        controls' own paths, which is larger than the picture's error.
+        """
+        error = measured.likely * frame.true_mean
+        return (
+            measured.likely <= self.known.target
+            and self.known.paths < LAST_PATHS
+            and self.known.controls.noise > error**2
+        )
+
+    def _deepen(self, gbuffer: GBuffer, tiles: Tiles) -> bool:
+        """Have the controls take twice as many paths."""
+        known = self.known
+        more = self._trace(gbuffer, known.controls.places, (known.paths, known.paths), tiles)
+        self.known = replace(known, controls=known.controls.deepened(more), paths=2 * known.paths)
+        return True
 
     def _climbing_decides(
         self, frame: Frame, measured: TotalError, climbs: Sequence[float]
@@ -224,12 +245,19 @@ class PictureCheck:
         (before, count) = some
         attempt = self.known.attempt
         places = draw_places(gbuffer, uncertainty, (attempt, before), count)
-        begun = time.perf_counter()
-        halves = trace_controls(self.light, gbuffer, places, paths, attempt, tiles)
-        self.pace = (time.perf_counter() - begun) / (2.0 * paths * count)
+        halves = self._trace(gbuffer, places, (0, paths), tiles)
         return ControlPixels(
             places, 1.0 / (len(uncertainty) * chances(uncertainty)[places]), halves
         )
+
+    def _trace(
+        self, gbuffer: GBuffer, places: np.ndarray, some: tuple[int, int], tiles: Tiles
+    ) -> np.ndarray:
+        """The halves of points at ``places``, by ``some`` paths; see ``trace_controls``."""
+        begun = time.perf_counter()
+        halves = trace_controls(self.light, gbuffer, places, some, self.known.attempt, tiles)
+        self.pace = (time.perf_counter() - begun) / max(2.0 * some[1] * len(places), 1.0)
+        return halves
 
     def _climb(self, frame: Frame, rungs: int = 1) -> bool:
         """Have texels take twice as many samples, for each of so many ``rungs``."""

@@ -54,7 +54,10 @@ EVENLY_DRAWN = 0.5
 
 FEWEST_PATHS = 16
 MOST_PATHS = 512
-"""Paths of each half, at least and at most."""
+LAST_PATHS = 1 << 14
+"""Paths of each half, at least and at most, when controls are drawn; and at most once as many
+controls as there may be show a picture at its target, and their noise alone leaves that open.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +95,17 @@ class ControlPixels:
         The picture shows the luminance ``shown`` (k,) at the controls.
         """
         return max(mean - float((self.weights * (shown - self.halves.mean(axis=1))).mean()), 0.0)
+
+    @property
+    def noise(self) -> float:
+        """The mean variance of the luminance by a half of the paths."""
+        return float((self.weights * (self.halves[:, 0] - self.halves[:, 1]) ** 2).mean()) / 2.0
+
+    def deepened(self, halves: np.ndarray) -> "ControlPixels":
+        """These controls by twice as many paths, of which the others brought the luminance
+        ``halves`` (k, 2).
+        """
+        return ControlPixels(self.places, self.weights, (self.halves + halves) / 2.0)
 
     def squares(self, shown: np.ndarray) -> np.ndarray:
         """The squared error of each control's luminance, ``shown`` (k,), right on the average;
@@ -205,17 +219,23 @@ def paths_for(target: float) -> int:
 
 
 def trace_controls(
-    light: RotatedLight, gbuffer: GBuffer, places: np.ndarray, paths: int, stream: int, tiles: Tiles
+    light: RotatedLight,
+    gbuffer: GBuffer,
+    places: np.ndarray,
+    some: tuple[int, int],
+    stream: int,
+    tiles: Tiles,
 ) -> np.ndarray:
-    """The luminance of points at ``places`` (k,) by two halves of so many ``paths`` each; (k, 2).
-    Raises Cancelled.
+    """The luminance of points at ``places`` (k,) by two halves of ``some`` paths each, after how
+    many and how many; (k, 2). Raises Cancelled.
 
     Halves of another ``stream`` draw random numbers of their own.
     """
+    (first, paths) = some
     distinct, each = np.unique(places, return_inverse=True)
     sums = np.zeros((len(distinct), 2, 3))
     paths_from = Paths(light, gbuffer.part(distinct, tiles), tiles, bounces_of_truth(light))
-    paths_from.add(sums, streams.CONTROLS_STREAM + 2 * stream, 0, paths)
+    paths_from.add(sums, streams.CONTROLS_STREAM + 2 * stream, first, paths)
     return np.asarray((sums @ LUMINANCE_WEIGHTS / paths)[each])
 
 

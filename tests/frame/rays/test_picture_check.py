@@ -15,6 +15,7 @@ from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.errors import Cancelled
 from isogi_core.files.radiance import write_hdr
 from isogi_core.frame.frame import TAIL, Frame, PictureState, Quality
+from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.control_pixels import (
     FIRST_CONTROLS,
     MAX_CONTROLS,
@@ -23,6 +24,7 @@ from isogi_core.frame.rays.control_pixels import (
     chances,
     draw_places,
     measure_total,
+    trace_controls,
 )
 from isogi_core.frame.rays.picture_plan import (
     AWAITED,
@@ -296,6 +298,37 @@ def test_a_rung_is_for_noise_that_it_takes_away(
     unused: Any = None
     PictureCheck(unused, state).advance(frame, np.empty(0), unused, PRESENT)
     assert taken == [step]
+
+
+def test_controls_noisier_than_the_error_take_more_paths(
+    monkeypatch: pytest.MonkeyPatch, coarse: Workbench
+) -> None:
+    """A picture that is at its target, of which its controls are too noisy to be sure: what they
+    lack are paths of theirs, and no better light.
+    """
+    bench = coarse.again()
+    view = coarse.view(azimuth=140.0, size=32)
+    target = 0.2
+    monkeypatch.setattr("isogi_core.frame.view_checks.paths_for", lambda _: 1)
+    monkeypatch.setattr("isogi_core.frame.view_checks.MAX_CONTROLS", FIRST_CONTROLS)
+    frames = climbed(bench, view, target)
+    doubted = [each for each in frames if each.measured and each.measured.high > target]
+    assert doubted and not doubted[-1].final
+    last = frames[-1]
+    assert last.final and last.quality.known is not None
+    assert last.quality.known.paths > 1 and last.quality.own == 0
+
+
+def test_deeper_controls_are_those_of_as_many_paths(coarse: Workbench) -> None:
+    view = coarse.view(azimuth=140.0, size=16)
+    gbuffer = coarse.renderer.gbuffer(view)
+    light = RotatedLight(coarse.renderer.caches.spec("gi"), view)
+    places = np.arange(0, len(gbuffer.points), 7)
+    once = trace_controls(light, gbuffer, places, (0, 64), 0, coarse.renderer.tiles)
+    begun = trace_controls(light, gbuffer, places, (0, 32), 0, coarse.renderer.tiles)
+    more = trace_controls(light, gbuffer, places, (32, 32), 0, coarse.renderer.tiles)
+    controls = ControlPixels(places, np.ones(len(places)), begun).deepened(more)
+    np.testing.assert_allclose(controls.halves, once, rtol=1e-9)
 
 
 def test_no_pixel_is_final_while_its_picture_may_become_better(coarse: Workbench) -> None:
