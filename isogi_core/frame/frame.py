@@ -247,7 +247,10 @@ class Quality:
         if self.known is None or not len(frame.controlled):
             return None
         squares = self.known.controls.weights * self.known.controls.squares(frame.controlled)
-        return measure_total(squares, frame.true_mean).at_least(frame.noise)
+        found = measure_total(squares, frame.true_mean)
+        if frame.unlit:  # all light of such pixels, and of those that borrow some, counts as noise
+            return found
+        return found.at_least(frame.noise)
 
     def tail(self, frame: "Frame") -> TailError | None:
         """See ``Frame.tail``."""
@@ -466,10 +469,25 @@ class Frame:
 
     @property
     def refinable(self) -> bool:
-        """Whether a step of refining makes it better or better known now: it is checkable, or its
-        walls lag behind its texels.
+        """Whether a step of refining makes it better or better known now: it is checkable, or has
+        not been measured since it has light, or its walls lag behind its texels.
         """
-        return self.checkable or (self.walls_lag and not self.view.moving)
+        return self.checkable or self.unmeasured or (self.walls_lag and not self.view.moving)
+
+    @property
+    def unmeasured(self) -> bool:
+        """Whether part of its light is there, part is still to come, and no control pixels tell how
+        wrong the whole is meanwhile.
+        """
+        known = self.quality.known
+        if known is None or len(known.controls.places) or self.quality.waiting:
+            return False
+        return 0 < self.unlit < self.surface
+
+    @property
+    def unlit(self) -> int:
+        """Surface pixels without light of their texels: provisional ones."""
+        return int(self._tally[0][PROVISIONAL])
 
     @cached_property
     def walls_lag(self) -> bool:
@@ -508,8 +526,8 @@ class Frame:
 
     @cached_property
     def measured(self) -> TotalError | None:
-        """The total relative RMSE by control pixels, at least the noise; None before there are
-        any.
+        """The total relative RMSE by control pixels, at least the noise once all pixels have light;
+        None before there are any.
         """
         return self.quality.measured(self)
 

@@ -124,6 +124,8 @@ class SurfaceRenderer:
         if not frame.refinable:
             return False
         light = self._light(frame.view)
+        if frame.unmeasured:
+            return self.checks.step(frame, light, target, tiles, prices)
         (walls, *others) = self._refinements
         waiting = (
             [walls] if frame.quality.waiting else others

@@ -78,6 +78,12 @@ none aims lower.
 """
 
 
+EARLY_PATHS = 64
+"""Paths of each half of controls of a picture whose light is still to come: it errs by 5 % or
+more.
+"""
+
+
 @dataclass(eq=False)
 class PictureCheck:
     """The check of the picture of one view: what it has ``known`` so far, and what its next step
@@ -205,13 +211,18 @@ class PictureCheck:
 
     def _begin_rung(self, frame: Frame, uncertainty: np.ndarray, tiles: Tiles) -> bool:
         """Draw the first controls of a rung, or of an attempt: as exactly as the picture's noise is
-        worth.
+        worth. Those of a picture whose light is still to come tell how wrong it is meanwhile.
         """
         known = self.known
-        paths = paths_for(max(self.known.target, frame.noise))
+        if frame.provisional:
+            paths = EARLY_PATHS
+            drawn = 0
+        else:
+            paths = paths_for(max(known.target, frame.noise))
+            drawn = known.enough
         first = self._draw(frame.gbuffer, uncertainty, (0, FIRST_CONTROLS), paths, tiles)
         self.known = replace(
-            known, uncertainty=uncertainty, controls=first, drawn=known.enough, paths=paths
+            known, uncertainty=uncertainty, controls=first, drawn=drawn, paths=paths
         )
         return True
 

@@ -582,3 +582,28 @@ def test_cheap_rungs_are_climbed_at_once() -> None:
     assert rungs_at_once(3, [0.0, 10.0, 30.0, 70.0], check=40.0) == 2
     assert rungs_at_once(1, [0.0, 10.0, 30.0, 70.0], check=40.0) == 1
     assert rungs_at_once(3, [0.0, 50.0, 150.0, 350.0], check=40.0) == 1
+
+
+def test_provisional_light_is_measured(coarse: Workbench) -> None:
+    """While part of a picture has no light, controls tell how wrong the whole is: the truth is in
+    the interval, and not all light counts as error.
+    """
+    bench = coarse.again()
+    view = coarse.view(azimuth=20.0, size=32)
+    loader = bench.caches.of("gi")
+    demands = sorted(bench.renderer.render(view, TARGET).demands, key=lambda each: each.index)
+    for demand in demands[: len(demands) // 2]:
+        refine_chunk(loader, 64, TARGET, demand)
+    before = bench.renderer.render(view, TARGET)
+    assert before.unmeasured and before.total.predicted and before.noise > 0.3
+    assert bench.renderer.refine(view, TARGET)
+    frame = bench.renderer.render(view, TARGET)
+    assert not frame.unmeasured and frame.provisional and not frame.final
+    best = trace_reference(bench.renderer, view, 1024)
+    light = best.mean[frame.state > 0].astype(np.float64) @ LUMINANCE_WEIGHTS
+    true = math.sqrt(((luminance(frame) - light) ** 2).mean()) / light.mean()
+    assert frame.total.low <= true <= frame.total.high < 1.0
+    assert not bench.renderer.refine(view, TARGET)
+    settled = climbed(bench, view, TARGET)[-1]
+    assert settled.final and settled.quality.known is not None
+    assert not settled.quality.outdated
