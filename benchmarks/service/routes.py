@@ -237,8 +237,8 @@ def in_words(answered: Counter[int]) -> str:
 @click.argument("target", default="demo:casting")
 @click.option("--at-once", default=12, show_default=True, help="Requests at once.")
 @click.option("--seconds", default=60.0, show_default=True, help="Time that a client waits.")
-@click.option("--only", default="", help="Only paths that end so.")
-def routes(target: str, at_once: int, seconds: float, only: str) -> Measurement:
+@click.option("--only", multiple=True, help="Only paths that end so; may be given again.")
+def routes(target: str, at_once: int, seconds: float, only: tuple[str, ...]) -> Measurement:
     """The most that one request of each route takes, and several at once."""
     with tempfile.TemporaryDirectory() as folder:
         tokens = Path(folder) / "tokens.toml"
@@ -254,7 +254,7 @@ def routes(target: str, at_once: int, seconds: float, only: str) -> Measurement:
             costs = {
                 (method, path, query): asking.cost(method, path, query, at_once)
                 for method, path in operations(served)
-                if path.endswith(only)
+                if path.endswith(only or ("",))
                 for query in COSTLIEST[path]
             }
     highest = max(cost.peak for cost in costs.values())
