@@ -482,7 +482,7 @@ class Frame:
         known = self.quality.known
         if known is None or len(known.controls.places) or self.quality.waiting:
             return False
-        return 0 < self.unlit < self.surface
+        return self.provisional and self.unlit < self.surface
 
     @property
     def unlit(self) -> int:
