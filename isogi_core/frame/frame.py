@@ -248,7 +248,7 @@ class Quality:
             return None
         squares = self.known.controls.weights * self.known.controls.squares(frame.controlled)
         found = measure_total(squares, frame.true_mean)
-        if frame.unlit:  # all light of such pixels, and of those that borrow some, counts as noise
+        if frame.provisional:  # all light that is lacking or borrowed counts as noise
             return found
         return found.at_least(frame.noise)
 
@@ -526,8 +526,8 @@ class Frame:
 
     @cached_property
     def measured(self) -> TotalError | None:
-        """The total relative RMSE by control pixels, at least the noise once all pixels have light;
-        None before there are any.
+        """The total relative RMSE by control pixels, at least the noise once all texels have their
+        samples; None before there are any.
         """
         return self.quality.measured(self)
 
