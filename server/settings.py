@@ -25,6 +25,12 @@ UNKNOWN_SCHEDULER = (
 UPLOADS_MB = 2048
 """Megabytes that uploads may take by default if no other machine reaches the server."""
 
+ANSWER_PIXELS = 1 << 22
+COMMAND_PIXELS = 1 << 24
+"""Most pixels in one picture by default, in answers of a server and in commands. A pixel takes up
+to 150 bytes of memory while it is drawn.
+"""
+
 LOOPBACK_HOSTS = ("127.0.0.1", "localhost", "::1")
 Names = Annotated[tuple[str, ...], NoDecode]
 """Names in a list, or in a text separated by commas."""
@@ -159,7 +165,14 @@ class Settings(BaseSettings):
         description="Addresses or networks of proxies whose X-Forwarded-For and "
         "X-Forwarded-Proto are trusted, comma-separated; default: none.",
     )
-    max_pixels: int = Field(4096 * 4096, ge=1, description="Most pixels in one picture.")
+    max_pixels: int | None = Field(
+        None,
+        ge=1,
+        description=(
+            "Most pixels in one picture; default: 4194304 in answers of a server, 16777216 in "
+            "commands."
+        ),
+    )
     max_paths: int = Field(
         2**26, ge=1, description="Most paths (pixels × samples) in one path-traced picture."
     )
@@ -386,6 +399,18 @@ class Settings(BaseSettings):
         if self.hand_out_voxels is None:
             return not self.bearers
         return self.hand_out_voxels
+
+    @property
+    def most_pixels(self) -> int:
+        """Return the most pixels in one picture."""
+        return self.max_pixels or COMMAND_PIXELS
+
+    @property
+    def answering(self) -> Self:
+        """Return the settings of a server, whose pictures are smaller by default: those of many
+        clients are in memory at once.
+        """
+        return self.model_copy(update={"max_pixels": self.max_pixels or ANSWER_PIXELS})
 
     def trusts(self, host: str) -> bool:
         """Return True if a connection from this address is a trusted proxy's, whose headers

@@ -38,9 +38,9 @@ def view_of(scene: Scene, params: ViewParams, settings: Settings) -> View:
     # Limits count the rows that are drawn, not those of the whole picture.
     pixels = params.width * (last - first)
     paths = params.width * (last - first) * params.samples
-    if pixels > settings.max_pixels:
+    if pixels > settings.most_pixels:
         raise ViewError(
-            f"width × height must be at most {settings.max_pixels} pixels, not {pixels}."
+            f"width × height must be at most {settings.most_pixels} pixels, not {pixels}."
         )
     if params.shading == "path_traced" and paths > settings.max_paths:
         raise ViewError(

@@ -48,6 +48,9 @@ START_SECONDS = 120.0
 the fork server imports and loads kernels first.
 """
 
+WELCOME_SECONDS = 0.1
+"""Seconds after which a start looks again if it was stopped."""
+
 RETRY_SECONDS = 1.0
 """Seconds until a process is started again that ended before it took jobs."""
 
@@ -103,12 +106,17 @@ class LocalPool:
     together = MAX_TASK_TEXELS
     keeps_light = True
 
-    def __init__(self, workers: int, kinds: Collection[str] = PLAIN_LAYER_KINDS) -> None:
+    def __init__(
+        self,
+        workers: int,
+        kinds: Collection[str] = PLAIN_LAYER_KINDS,
+        stopped: threading.Event | None = None,
+    ) -> None:
         """Start ``workers`` processes, which load or compile the kernels of layers of these
         ``kinds``.
 
         They inherit the environment variables of now. Raises WorkersError if they cannot be
-        started.
+        started, or if ``stopped`` is set before they have come.
         """
         self._start = Start(dict(os.environ), worker_niceness(), tuple(kinds))
         self._number = workers
@@ -131,9 +139,9 @@ class LocalPool:
             for _ in range(workers):
                 self._workers.append(self._begin())
             for worker in self._workers:
-                self._welcome(worker)
+                self._welcome(worker, stopped or threading.Event())
         except Exception as error:
-            self._end()
+            self._end(0.0)
             raise WorkersError(f"Cannot start the workers: {error}") from error
         self._keeper = threading.Thread(target=self._keep, name="workers", daemon=True)
         self._keeper.start()
@@ -344,22 +352,27 @@ class LocalPool:
             process.start()
         return LocalWorker(process, jobs, answers)
 
-    def _welcome(self, worker: LocalWorker) -> None:
+    def _welcome(self, worker: LocalWorker, stopped: threading.Event) -> None:
         """Wait until a process takes jobs.
 
-        Raises EOFError if it ends before, and TimeoutError after START_SECONDS.
+        Raises EOFError if it ends before, TimeoutError after START_SECONDS, and WorkersAwayError
+        once ``stopped`` is set.
         """
-        if not worker.answers.poll(START_SECONDS):
-            raise TimeoutError(f"none has come within {START_SECONDS:g} seconds.")
+        deadline = time.monotonic() + START_SECONDS
+        while not worker.answers.poll(WELCOME_SECONDS):
+            if stopped.is_set():
+                raise WorkersAwayError("they were stopped before they came.")
+            if time.monotonic() > deadline:
+                raise TimeoutError(f"none has come within {START_SECONDS:g} seconds.")
         worker.answers.recv_bytes()
         worker.here = True
 
-    def _end(self) -> None:
+    def _end(self, seconds: float = CLOSING_SECONDS) -> None:
         """End all processes, and return when they have ended."""
-        # Closed pipes tell workers to end; kill those that have not after CLOSING_SECONDS.
+        # Closed pipes tell workers to end; kill those that have not after some ``seconds``.
         for worker in self._workers:
             worker.jobs.close()
-        deadline = time.monotonic() + CLOSING_SECONDS
+        deadline = time.monotonic() + seconds
         for worker in self._workers:
             if not ended(worker.answers, deadline):
                 with suppress(OSError):

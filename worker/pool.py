@@ -2,6 +2,7 @@
 those of this machine, or those of a Dask scheduler.
 """
 
+import threading
 from collections.abc import Callable, Collection, Sequence
 from typing import Protocol
 
@@ -95,12 +96,16 @@ class WorkerPool(Protocol):
 
 
 def start_pool(
-    workers: int, scheduler: str | None = None, kinds: Collection[str] = PLAIN_LAYER_KINDS
+    workers: int,
+    scheduler: str | None = None,
+    kinds: Collection[str] = PLAIN_LAYER_KINDS,
+    stopped: threading.Event | None = None,
 ) -> WorkerPool:
     """Start ``workers`` processes of one thread each, or join a ``scheduler`` by its address.
 
     Workers started here immediately load or compile the kernels that bake layers of these
-    ``kinds``. Raises WorkersError, and WorkersAwayError if the scheduler cannot be reached.
+    ``kinds``. Raises WorkersError, also if ``stopped`` is set before they have come, and
+    WorkersAwayError if the scheduler cannot be reached.
     """
     if scheduler is not None:
         from worker.dask_pool import DaskPool  # noqa: PLC0415 (loads Dask)
@@ -108,7 +113,7 @@ def start_pool(
         return DaskPool(scheduler)
     from worker.local_pool import LocalPool  # noqa: PLC0415 (it imports this)
 
-    return LocalPool(workers, kinds)
+    return LocalPool(workers, kinds, stopped)
 
 
 def all_ended(tasks: Sequence[BakeTask], done: AllDone) -> Callable[..., None]:

@@ -42,8 +42,15 @@ MOST_MIB = 1500.0
 """Memory that the server may have with requests of one route at work."""
 
 SCENE = "/v1/scenes/{scene}"
-LARGEST = "width=4096&height=4096"
+LARGEST = "width=2048&height=2048"
+LONGEST = "width=16383&height=256"
+MIDDLE = "width=1024&height=1024"
 ANYWHERE = "azimuth={turn}"
+NEAR = f"distance=0.9&{ANYWHERE}"
+"""Parameters of pictures: the largest, the longest of as many pixels, the largest of those that are
+drawn several at once; from any side, and from so near that every pixel shows the surface.
+"""
+
 COSTLIEST: dict[str, tuple[str, ...]] = {
     "/livez": ("",),
     "/readyz": ("",),
@@ -54,20 +61,23 @@ COSTLIEST: dict[str, tuple[str, ...]] = {
     f"{SCENE}/sky": ("?width=512&environment=studio",),
     f"{SCENE}/frame": (
         f"?{LARGEST}&f=npy&{ANYWHERE}",
-        f"?{LARGEST}&f=png&antialias=on&{ANYWHERE}",
-        f"?width=16383&height=1024&f=webp&shading=lambert_shadow&{ANYWHERE}",
-        f"?{LARGEST}&f=npy&shading=path_traced&samples=4&{ANYWHERE}",
-        f"?width=1448&height=1448&f=npy&shading=path_traced&samples=32&{ANYWHERE}",
+        f"?{LARGEST}&f=npy&{NEAR}",
+        f"?{LARGEST}&f=png&antialias=on&{NEAR}",
+        f"?{MIDDLE}&f=npy&{NEAR}",
+        f"?{MIDDLE}&f=png&antialias=on&{NEAR}",
+        f"?{LONGEST}&f=webp&shading=lambert_shadow&{ANYWHERE}",
+        f"?{LARGEST}&f=npy&shading=path_traced&samples=16&{NEAR}",
+        f"?{MIDDLE}&f=npy&shading=path_traced&samples=64&{NEAR}",
     ),
-    f"{SCENE}/coverage": (f"?{LARGEST}&{ANYWHERE}",),
+    f"{SCENE}/coverage": (f"?{LARGEST}&{NEAR}",),
     f"{SCENE}/fit": (f"?width=1&height=16383&{ANYWHERE}", f"?{LARGEST}&{ANYWHERE}"),
-    f"{SCENE}/point": (f"?{LARGEST}&x=2048&y=2048&{ANYWHERE}",),
+    f"{SCENE}/point": (f"?{LARGEST}&x=1024&y=1024&{ANYWHERE}",),
     f"{SCENE}/size": ("?cut=x>{cut}",),
     f"{SCENE}/slice": ("?axis=x&at={cut}&f=npy", "?axis=x&at={cut}"),
-    f"{SCENE}/events": (f"?{LARGEST}&{ANYWHERE}",),
+    f"{SCENE}/events": (f"?{LARGEST}&{NEAR}", f"?{MIDDLE}&{NEAR}"),
     f"{SCENE}/card": (f"?{LARGEST}&cut=x>{{cut}}",),
     f"{SCENE}/card/volume/{{layers}}": ("?cut=x>{cut}",),
-    f"{SCENE}/card/chunks": (f"?{LARGEST}&{ANYWHERE}", f"?width=16383&height=1024&{ANYWHERE}"),
+    f"{SCENE}/card/chunks": (f"?{LARGEST}&{NEAR}", f"?{LONGEST}&{ANYWHERE}"),
     f"{SCENE}/card/light/{{chunks}}": ("?yaw={turn}",),
     f"{SCENE}/card/transfer/{{chunks}}": ("?cut=x>{cut}",),
     f"{SCENE}/prewarm": ("",),
@@ -227,8 +237,8 @@ def in_words(answered: Counter[int]) -> str:
 @click.argument("target", default="demo:casting")
 @click.option("--at-once", default=12, show_default=True, help="Requests at once.")
 @click.option("--seconds", default=60.0, show_default=True, help="Time that a client waits.")
-@click.option("--only", default="", help="Only paths that end so.")
-def routes(target: str, at_once: int, seconds: float, only: str) -> Measurement:
+@click.option("--only", multiple=True, help="Only paths that end so; may be given again.")
+def routes(target: str, at_once: int, seconds: float, only: tuple[str, ...]) -> Measurement:
     """The most that one request of each route takes, and several at once."""
     with tempfile.TemporaryDirectory() as folder:
         tokens = Path(folder) / "tokens.toml"
@@ -244,7 +254,7 @@ def routes(target: str, at_once: int, seconds: float, only: str) -> Measurement:
             costs = {
                 (method, path, query): asking.cost(method, path, query, at_once)
                 for method, path in operations(served)
-                if path.endswith(only)
+                if path.endswith(only or ("",))
                 for query in COSTLIEST[path]
             }
     highest = max(cost.peak for cost in costs.values())

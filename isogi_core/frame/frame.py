@@ -224,7 +224,11 @@ class Quality:
             return None
         # Weights undo the uneven drawing of the controls, so that the mean is one over all points.
         squares = self.known.controls.weights * self.known.controls.squares(frame.controlled)
-        return measure_total(squares, frame.true_mean).at_least(frame.noise)
+        found = measure_total(squares, frame.true_mean)
+        # The noise counts all light that is lacking or borrowed: it bounds no provisional picture.
+        if frame.provisional:
+            return found
+        return found.at_least(frame.noise)
 
     def tail(self, frame: "Frame") -> TailError | None:
         """Return the error that 99 % of the surface pixels stay below; None if the frame has no
@@ -461,10 +465,25 @@ class Frame:
 
     @property
     def refinable(self) -> bool:
-        """True if a step of refining helps now: the picture is checkable, or the view rests and
-        its walls lag behind the surface.
+        """True if a step of refining helps now: the picture is checkable, its present light is not
+        measured yet, or the view rests and its walls lag behind the surface.
         """
-        return self.checkable or (self.walls_lag and not self.view.moving)
+        return self.checkable or self.unmeasured or (self.walls_lag and not self.view.moving)
+
+    @property
+    def unmeasured(self) -> bool:
+        """True if a part of the light is there, another part is still to come, and no control
+        pixels measure the error of the whole meanwhile.
+        """
+        known = self.quality.known
+        if known is None or len(known.controls.places) or self.quality.waiting:
+            return False
+        return self.provisional and self.unlit < self.surface
+
+    @property
+    def unlit(self) -> int:
+        """The number of surface pixels whose texels have no light: the provisional ones."""
+        return int(self._tally[0][PROVISIONAL])
 
     @cached_property
     def walls_lag(self) -> bool:
@@ -509,8 +528,8 @@ class Frame:
 
     @cached_property
     def measured(self) -> TotalError | None:
-        """The total relative RMSE by control pixels, at least the noise; None if there are no
-        control pixels.
+        """The total relative RMSE by control pixels, at least the noise once all texels have their
+        samples; None if there are no control pixels.
         """
         return self.quality.measured(self)
 

@@ -232,6 +232,42 @@ def sight_of(view: View, spacing: Vector, walls: Walls | None) -> Sight:
     return Sight(NO_WALLS if walls is None else walls, planes)
 
 
+class Hits:
+    """The hits of the rays of a picture, tile by tile: numbers of pixels, and points. Only hits
+    take memory; rays that miss take none. Several threads may put tiles.
+    """
+
+    def __init__(self, count: int) -> None:
+        """Start without hits, for ``count`` rays. The system gives memory to written pages only."""
+        self._pixels = np.empty(count, np.uint32)
+        self._points = np.empty((count, 3), np.float32)
+        self._runs: dict[int, int] = {}
+
+    def put(self, first: int, pixels: np.ndarray, points: np.ndarray) -> None:
+        """Put the hits of the tile that begins with the ray ``first``."""
+        last = first + len(pixels)
+        self._pixels[first:last] = pixels
+        self._points[first:last] = points
+        self._runs[first] = len(pixels)
+
+    @property
+    def runs(self) -> list[tuple[int, int]]:
+        """Return the first ray of each tile and the number of its hits, in the order of rays."""
+        return sorted(self._runs.items())
+
+    def joined(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the pixels (m,) uint32 and points (m, 3) float32 of all tiles, and keep none."""
+        # Move the hits of each tile up to those before it, in place: a copy takes as much again.
+        end = 0
+        for first, count in self.runs:
+            self._pixels[end : end + count] = self._pixels[first : first + count]
+            self._points[end : end + count] = self._points[first : first + count]
+            end += count
+        self._pixels.resize(end, refcheck=False)
+        self._points.resize((end, 3), refcheck=False)
+        return self._pixels, self._points
+
+
 def trace(view: View, surface: Surface, tiles: Tiles, walls: Walls | None = None) -> GBuffer:
     """Cast the primary rays of ``view`` at the ``surface`` that it shows, and at ``walls``.
     Raises Cancelled.
@@ -240,29 +276,26 @@ def trace(view: View, surface: Surface, tiles: Tiles, walls: Walls | None = None
     camera = view_pinhole(view, spacing)
     sight = sight_of(view, spacing, walls)
     traced = surface.traced(tiles.run)
-    found: dict[int, tuple[np.ndarray, ...]] = {}
+    count = view.width * view.height
+    surface_hits = Hits(count)
+    others = Hits(count)
+    numbers = np.empty(count, np.int8)
 
-    # Each tile writes arrays of its own, for how many of its rays hit is not known before.
+    # Each tile has arrays of its own, as the number of its hits is not known before.
     def _piece(a: int, b: int) -> None:
         pixels = np.empty((2, b - a), np.uint32)
         points = np.empty((2, b - a, 3), np.float32)
-        numbers = np.empty(b - a, np.int8)
-        hits, others = trace_pixels(traced, sight, camera, a, view.width, pixels, points, numbers)
-        found[a] = (
-            pixels[0, :hits],
-            points[0, :hits],
-            pixels[1, :others],
-            points[1, :others],
-            numbers[:others],
+        met, met_others = trace_pixels(
+            traced, sight, camera, a, view.width, pixels, points, numbers[a:b]
         )
+        surface_hits.put(a, pixels[0, :met], points[0, :met])
+        others.put(a, pixels[1, :met_others], points[1, :met_others])
 
-    tiles.run(_piece, view.width * view.height, TILE_RAYS)
+    tiles.run(_piece, count, TILE_RAYS)
     # Join the tiles in the order of their pixels, whichever thread was first.
-    pixels, points, *others = (
-        np.concatenate(parts) for parts in zip(*(found[a] for a in sorted(found)), strict=True)
-    )
-    seen = OtherPoints(*others)
-    shown = (view.height, view.width), spacing, camera.eye, surface, pixels, points
+    numbers = np.concatenate([numbers[a : a + hits] for a, hits in others.runs])
+    seen = OtherPoints(*others.joined(), numbers)
+    shown = (view.height, view.width), spacing, camera.eye, surface, *surface_hits.joined()
     if view.window is None:
         return GBuffer(*shown, walls=seen)
     on_face = seen.numbers == WINDOW_FACE

@@ -131,6 +131,9 @@ class SurfaceRenderer:
         if not frame.refinable:
             return False
         light = self._light(frame.view)
+        # A picture that is still provisional is measured once, before anything refines it.
+        if frame.unmeasured:
+            return self.checks.step(frame, light, target, tiles, prices)
         # Walls come first; shine and the check of pixels wait until walls are final, as they see
         # them.
         walls, *others = self._refinements
@@ -158,7 +161,7 @@ class SurfaceRenderer:
         # all samples there can be wants no check.
         known = None
         if is_checked(light.view) and until.enough < MAX_SAMPLES:
-            known = self.checks.check(light, gbuffer, target).known
+            known = self.checks.check(light, target).known
         # Find the texels around the surface points, read their light, and carry it to the pixels.
         with watch.stage("texels"):
             texels = self.texels(light.view, gbuffer, tiles)

@@ -10,7 +10,7 @@ import numpy as np
 from isogi_core.bake.noise import RATE, Until
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.frame.frame import Frame
-from isogi_core.frame.gbuffer import GBuffer, surface_key
+from isogi_core.frame.gbuffer import surface_key
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.control_pixels import CONTROLS_IF_MISSED, paths_for
 from isogi_core.frame.rays.own_light import foreseen_paths
@@ -61,16 +61,15 @@ class ViewChecks(Refinement[PictureCheck]):
         self._kept = kept
         self._texels = texels
 
-    def check(self, light: RotatedLight, gbuffer: GBuffer, target: float) -> PictureCheck:
+    def check(self, light: RotatedLight, target: float) -> PictureCheck:
         """Return the check of the picture of a view, or begin one."""
         return self._kept.get(
-            check_key(light.view, target),
-            lambda: PictureCheck(light, gbuffer, PictureState(target)),
+            check_key(light.view, target), lambda: PictureCheck(light, PictureState(target))
         )
 
     def of(self, frame: Frame, light: RotatedLight, target: float, tiles: Tiles) -> PictureCheck:
         """Return the check of the picture in a ``frame``: see ``Refinement``."""
-        return self.check(light, frame.gbuffer, target)
+        return self.check(light, target)
 
     def advance(
         self, found: PictureCheck, frame: Frame, target: float, tiles: Tiles, prices: Prices
@@ -124,13 +123,24 @@ class ViewChecks(Refinement[PictureCheck]):
         expects, or, before it was measured, as foreseen from the plan's error and from the
         noise of its texels.
         """
-        check = self.held(frame.view, target)
+        return self.known_left(frame.view, target) or self.foreseen(frame, target)
+
+    def known_left(self, view: View, target: float) -> PathsLeft | None:
+        """Return the paths that the picture of a ``view`` still has to take, as its check expects;
+        None before it was measured.
+        """
+        check = self.held(view, target)
         if check and check.ahead is not None:
             # Another thread may end the growth meanwhile: read it once.
             growth = check.growing
             growing = growth.left if growth else 0.0
             ahead = check.ahead
             return PathsLeft(growing + ahead.pixels, ahead.texels, ahead.times, check.pace)
+        return None
+
+    @staticmethod
+    def foreseen(frame: Frame, target: float) -> PathsLeft:
+        """Return the paths that a ``frame`` is foreseen to take, before it was measured."""
         if frame.quality.target is None or frame.quality.lacking is None:
             return PathsLeft()
         return foreseen_work(frame, frame.quality.lacking.reading, target)

@@ -7,9 +7,9 @@ from __future__ import annotations
 import asyncio
 import math
 import threading
-from collections.abc import AsyncGenerator, Callable, Hashable
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Hashable
+from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Annotated, NamedTuple, Self, TypeVar
 
@@ -39,9 +39,11 @@ from server.render.scheduling import (
     REQUEST_PATIENCE,
     REST_PATIENCE,
     AdmissionLimit,
+    Entered,
     LongRenders,
     Rank,
     Renders,
+    Room,
 )
 from server.render.update_bus import UpdateBus
 from server.render.variants import Variants
@@ -96,7 +98,7 @@ class Service:
 
     def __init__(self, engine: RenderEngine, settings: Settings) -> None:
         self.engine = engine
-        self.settings = settings
+        self.settings = settings.answering
         self.startup = Startup(engine)
         self.resumed = asyncio.Event()
         self.connections = AdmissionLimit(settings.streams, "streams are open")
@@ -371,18 +373,32 @@ class Service:
             await self.startup.lit.wait()
         await self._ask_ahead(picture, viewer)
         while True:
-            shown = await self.show(picture, viewer, self.rank(viewer, patience))
-            given_up = not (shown.frame.final or shown.coming)
-            # Yield a picture only if its light or its measured error changed.
-            if (now := (shown.frame.version, shown.frame.total)) != known or given_up:
-                known = now
-                patience = REFINEMENT_PATIENCE
-                yield shown
-            if not shown.coming:
-                return
-            wait = await self.threads.asking.run(partial(Wait.after, shown), Rank.within(DRAFT))
-            del shown  # Free megabytes while light is baked.
+            rank = self.rank(viewer, patience)
+            place = await self.threads.enter(picture.view, rank)
+            try:
+                shown = replace(await self.show(picture, viewer, rank), place=place)
+                given_up = not (shown.frame.final or shown.coming)
+                now = (shown.frame.version, shown.frame.total)
+                wait = await self._wait_after(shown)
+                # Yield a picture only if its light or its measured error changed.
+                news = [shown] if now != known or given_up else []
+                # Free megabytes while the client takes the picture: only the list holds it.
+                del shown
+                if news:
+                    known = now
+                    patience = REFINEMENT_PATIENCE
+                    yield news.pop()
+                if wait is None:
+                    return
+            finally:
+                place.leave()
             await self._next_update(picture, wait, min(YOUNGER * (clock() - begun), LONGEST_PAUSE))
+
+    async def _wait_after(self, shown: Shown) -> Wait | None:
+        """Return the wait for the next picture of a view; None if none is coming."""
+        if not shown.coming:
+            return None
+        return await self.threads.asking.run(partial(Wait.after, shown), Rank.within(DRAFT))
 
     async def _ask_ahead(self, picture: PictureRequest, viewer: Viewer) -> None:
         """Request the light of a new view before its first picture is lit, so that workers bake it
@@ -401,9 +417,12 @@ class Service:
         # Share the work among clients that open the same view.
         threads = self.threads.of(picture.view)
         if viewer.bakes and not threads.crowded:
-            frame = await threads.share(("ahead", picture), work, self.rank(viewer, REST_PATIENCE))
-            if frame is not None:
-                await self.request_light(picture, frame, viewer)
+            rank = self.rank(viewer, REST_PATIENCE)
+            async with self.threads.kept(picture.view, rank):
+                frame = await threads.share(("ahead", picture), work, rank)
+                if frame is not None:
+                    await self.request_light(picture, frame, viewer)
+                    del frame
 
     def make_way(self) -> None:
         """Have the workers leave cores free for a view that moves. Runs on a thread, as the
@@ -440,20 +459,28 @@ class Service:
         try:
             # Draw the picture, and draw it again when all light that was coming for it has come.
             await within(wait, self.startup.lit)
-            shown = await self.show(picture, viewer, rank, watch)
-            while shown.coming and (left := deadline - loop.time()) > 0:
-                coming = shown.coming
-                since = shown.since
-                del shown  # Free megabytes while light is baked.
+            while True:
+                with watch.stage("queue"):
+                    place = await self.threads.enter(picture.view, rank)
+                try:
+                    shown = await self.show(picture, viewer, rank, watch)
+                    # A picture whose work has begun does not give up any more: time spent on it
+                    # would be lost.
+                    rank = rank.begun
+                    left = deadline - loop.time()
+                    if not shown.coming or left <= 0:
+                        made = partial(finish, shown)
+                        return await self.threads.of(picture.view).run(made, rank)
+                    coming = shown.coming
+                    since = shown.since
+                    del shown  # Free megabytes while light is baked.
+                finally:
+                    place.leave()
                 with (
                     watch.stage("bake"),
                     self.updates.pending(self._bake(picture), coming, since) as pending,
                 ):
                     await within(left, pending.all)
-                shown = await self.show(picture, viewer, rank.begun, watch)
-            # A picture whose work has begun does not give up its place any more: time spent on it
-            # would be lost.
-            return await self.threads.of(picture.view).run(lambda: finish(shown), rank.begun)
         except asyncio.CancelledError:
             self.leave(viewer)
             raise
@@ -525,9 +552,17 @@ SceneDep = Annotated[Scene, Depends(scene_of)]
 DRAFTS = 2
 """Threads for drafts alone, so that no draft waits for a full picture to end."""
 
-LARGE_PICTURE_PIXELS = 1 << 21
-"""Pixels above which pictures are drawn one at a time: each takes about 45 bytes a pixel in
-addition to the views that are kept.
+LARGE_PICTURE_PIXELS = 1 << 20
+"""Pixels above which there is one picture at a time, from its first ray until it is encoded: each
+takes up to 150 bytes a pixel.
+"""
+
+SENT_PIXELS = 1 << 18
+"""Pixels above which pictures that are encoded while they are sent (npy) wait for their turn."""
+
+SENT_PICTURES = 8
+SENT_LARGE_PICTURES = 2
+"""Number of such pictures that are sent at once: up to LARGE_PICTURE_PIXELS, and larger ones.
 """
 
 ASKING = 2
@@ -547,6 +582,9 @@ class RenderThreads:
         self.drafts = Renders(DRAFTS, even=True)
         self.pictures = Renders(pictures, lambda: self.drafts.crowded)
         self.large = Renders(1)
+        self._large_room = Room(1)
+        self._sending = Room(SENT_PICTURES)
+        self._sending_large = Room(SENT_LARGE_PICTURES)
         self.paths = LongRenders()
         self.large_paths = LongRenders(1)
         self.asking = Renders(ASKING)
@@ -571,6 +609,34 @@ class RenderThreads:
         if view.width * view.height > LARGE_PICTURE_PIXELS:
             return self.large
         return self.pictures
+
+    async def enter(self, view: View, rank: Rank) -> Entered:
+        """Take a place in memory for the picture of a view, to be left by the caller; large
+        pictures share one. Raises BusyError if the rank gives up before.
+        """
+        if self.drawing(view) is self.large:
+            return await self._large_room.enter(rank)
+        return Entered()
+
+    def sending(self, view: View) -> Room | None:
+        """Return the places for pictures of this size that are encoded while they are sent; None
+        if the picture is small.
+        """
+        pixels = view.width * view.height
+        if pixels > LARGE_PICTURE_PIXELS:
+            return self._sending_large
+        if pixels > SENT_PIXELS:
+            return self._sending
+        return None
+
+    @asynccontextmanager
+    async def kept(self, view: View, rank: Rank) -> AsyncIterator[None]:
+        """Take a place in memory for the picture of a view, for the block: see ``enter``."""
+        place = await self.enter(view, rank)
+        try:
+            yield
+        finally:
+            place.leave()
 
     def close(self) -> None:
         """Accept no more work, and drop work that still waits."""
@@ -611,7 +677,7 @@ class Shown:
     that timed its stages.
 
     ``coming`` are the chunks that will be baked for it; ``since`` is the number of the newest
-    update of light when the frame was begun.
+    update of light when the frame was begun. Its ``place`` in memory is left once it is encoded.
     """
 
     frame: Frame
@@ -619,6 +685,7 @@ class Shown:
     watch: Stopwatch
     coming: frozenset[Index]
     since: int
+    place: Entered = field(default_factory=Entered)
 
 
 class Wait(NamedTuple):

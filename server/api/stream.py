@@ -458,7 +458,7 @@ class Session:
         shown = Shown(frame, None, watch, frozenset(), 0)
         # Time in the queue counts, so that drafts become smaller if many clients wait.
         self._drafts.drawn(sum(watch.seconds.values()))
-        await self._picture(request, params, shown, "jpeg", rank)
+        await self._hand_over(request, *await self._made(request, params, shown, "jpeg", rank))
         now = asyncio.get_running_loop().time()
         if now - self._wanted >= WANT_EVERY:
             self._wanted = now
@@ -470,16 +470,18 @@ class Session:
         """Send the full picture of a view at rest, and each better one, until it is final."""
         async with aclosing(self._service.refinements(picture, self._viewer)) as refinements:
             async for shown in refinements:
-                await self._picture(
-                    request, params, shown, form, self._service.rank(self._viewer, DRAFT)
-                )
-                del shown  # Free megabytes while the client catches up and light is baked.
+                rank = self._service.rank(self._viewer, DRAFT)
+                made = await self._made(request, params, shown, form, rank)
+                # Free megabytes while the client catches up and light is baked.
+                shown.place.leave()
+                del shown
+                await self._hand_over(request, *made)
                 await self._window.room()
 
-    async def _picture(
+    async def _made(
         self, request: ViewRequest, params: FrameParams, shown: Shown, form: str, rank: Rank
-    ) -> None:
-        """Encode a picture, and send it with its facts."""
+    ) -> tuple[str, bytes]:
+        """Return the facts of a picture, and the encoded picture."""
         if params.exposure is None:
             exposure = self._lit.default_exposure
         else:
@@ -492,11 +494,15 @@ class Session:
                 request.id, shown, form, request.moving, self._chunks(request, shown)
             ), picture
 
-        facts, picture = await self._service.threads.of(shown.frame.view).run(made, rank)
-        self._window.sent(request.id)
+        found = await self._service.threads.of(shown.frame.view).run(made, rank)
         self._metrics.count_picture(
             "draft" if request.moving else "stream", not shown.frame.final, shown.watch.seconds
         )
+        return found
+
+    async def _hand_over(self, request: ViewRequest, facts: str, picture: bytes) -> None:
+        """Send a picture and its facts."""
+        self._window.sent(request.id)
         # The first picture of a view measures how quickly the stream follows.
         if self._shows is not None:
             self._metrics.ages.observe(self._motion.sent(self._shows, request.moving))

@@ -45,6 +45,7 @@ from server.cli.arguments import (
     volume_options,
 )
 from server.cli.help import Commands, SettingsCommand
+from server.cli.stopping import stopped_at_once
 from server.knobs import KNOBS
 from worker.fork_server import start_fork_server
 
@@ -123,10 +124,11 @@ def serve(target: str | None, config: Path | None, **given: str | None) -> None:
     """Serve TARGET, a scene (.toml) or a volume (NRRD, NIfTI, DICOM, TIFF, Zarr …); by default a
     demo.
     """
-    settings = settings_from(config, **given)
-    if not settings.scheduler:
-        start_fork_server()
-    module_of("serve").serve(target, settings)
+    with stopped_at_once():
+        settings = settings_from(config, **given)
+        if not settings.scheduler:
+            start_fork_server()
+        module_of("serve").serve(target, settings)
 
 
 @cli.command()

@@ -168,22 +168,31 @@ def why_empty(scene: Scene, view: View) -> str:
 
 
 def stopped_by(frame: Frame) -> str:
-    """Return the reason for the end of a frame's rendering: "target", "samples" or "time"."""
+    """Return the reason for the end of a frame's rendering: "target", "samples", "paths" (its
+    pixels have taken all that they may) or "time".
+    """
     if frame.final:
         return "target"
     if frame.view.shading == "path_traced":
         return "samples"
+    if frame.quality.given_up and not frame.provisional:
+        return "paths"
     return "time"
 
 
 def rendered(facts: Mapping[str, Any]) -> str:
     """Return the facts of ``render`` as text for a person."""
-    states = {"target": "final", "time": "provisional", "samples": "all samples taken"}
+    states = {
+        "target": "final",
+        "time": "provisional",
+        "samples": "all samples taken",
+        "paths": "provisional after all paths that its pixels may take",
+    }
     quality = (
         f"error {facts['error']:.4f}, {facts['final']:.1%} of the surface at "
         f"{facts['target_error']:g}"
     )
-    if facts["stopped"] == "time" and facts["error"] <= facts["target_error"]:
+    if facts["stopped"] in ("time", "paths") and facts["error"] <= facts["target_error"]:
         quality = f"{unsure(facts)}, {quality}"
     if facts["note"]:
         return f"{facts['file']}: {facts['width']} × {facts['height']}. {facts['note']}"

@@ -3,19 +3,15 @@
 import asyncio
 import gc
 import logging
-import os
 import signal
 import socket
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, nullcontext, suppress
-from multiprocessing import resource_tracker
-from multiprocessing.util import _run_finalizers  # type: ignore[attr-defined]
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 import click
-import psutil
 import uvicorn
 from fastapi import FastAPI
 
@@ -26,6 +22,7 @@ from server.api.connections import Connection, ServerConfig
 from server.api.lifespan import Closing
 from server.api.service import Service
 from server.cli.setting_options import unknown_variables
+from server.cli.stopping import SIGNALS, STOPPED, leave
 from server.progress import compiling, open_scene, say
 from server.render.engine import RenderEngine, engine_for
 from server.settings import Settings
@@ -159,7 +156,7 @@ async def run(app: FastAPI, listener: socket.socket) -> None:
     def stopping() -> None:
         """Exit in time; soon if nobody was served yet, without waiting for kernels."""
         if not watching.done():
-            click.echo("isogi: stopped before it was ready", err=True)
+            click.echo(STOPPED, err=True)
         leave_within(EXIT_SECONDS + (app.state.settings.shutdown_seconds if watching.done() else 0))
 
     server = Server(app, stopping)
@@ -194,22 +191,6 @@ def leave_within(seconds: float) -> None:
     timer.start()
 
 
-def leave() -> None:
-    """Kill all child processes, which may still be starting, release semaphores that Python
-    would report as leaked, and exit.
-    """
-    # Spare the resource tracker of Python, which cleans up shared memory after this process.
-    tracker = getattr(resource_tracker._resource_tracker, "_pid", None)
-    try:
-        for each in psutil.Process().children(recursive=True):
-            if each.pid != tracker:
-                with suppress(psutil.Error):
-                    each.kill()
-        _run_finalizers(0)
-    finally:
-        os._exit(0)
-
-
 def stop_on_signals(server: uvicorn.Server) -> None:
     """Let SIGTERM and SIGINT stop the server in an orderly way, also before uvicorn handles
     them.
@@ -218,7 +199,7 @@ def stop_on_signals(server: uvicorn.Server) -> None:
     def stop(*_: Any) -> None:
         server.should_exit = True
 
-    for number in (signal.SIGTERM, signal.SIGINT):
+    for number in SIGNALS:
         signal.signal(number, stop)
 
 

@@ -7,7 +7,7 @@ import time
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 from isogi_core.bake.bake_spec import SPECS, spec_name
@@ -21,7 +21,7 @@ from isogi_core.frame.rays.picture_plan import AWAITED, HEAVIER, Prices
 from isogi_core.frame.renderer import Renderer, unlit_frame
 from isogi_core.frame.texel_reading import Stage
 from isogi_core.frame.tiles import Stopwatch, Tiles
-from isogi_core.frame.view_checks import PathsLeft
+from isogi_core.frame.view_checks import PathsLeft, ViewChecks
 from isogi_core.model.view import View
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.scene import Scene
@@ -55,6 +55,40 @@ from worker.progress import (
     TimeLeft,
     log_normal_ratios,
 )
+
+NOTHING_LEFT = PathsLeft()
+
+
+@dataclass(frozen=True, eq=False)
+class Unfinished:
+    """The parts that a picture lacks until it is final, without the picture itself, which takes
+    megabytes.
+
+    - ``scene``, ``view``, ``max_error``: of the request.
+    - ``target``: relative error that the picture is to reach.
+    - ``final``, ``refinable``: as the frame says.
+    - ``seconds``: time that drawing it took, by stage.
+    - ``bake``, ``chunks``: light that it needs next.
+    - ``later``: stages after that.
+    - ``read``: chunks that its texels read; None if it reads none.
+    - ``fineness``: steps by which its texels are finer.
+    - ``foreseen``: paths that its pixels are expected to take, until it is measured.
+    """
+
+    scene: str
+    view: View
+    max_error: float | None
+    target: float
+    final: bool
+    refinable: bool
+    seconds: Mapping[str, float]
+    bake: str = ""
+    chunks: tuple[Index, ...] = ()
+    later: tuple[Stage, ...] = ()
+    read: tuple[Index, ...] | None = None
+    fineness: int = 0
+    foreseen: PathsLeft = NOTHING_LEFT
+
 
 WAITING_STAGES = ("queue", "bake", "check", "demand")
 """Stages of a frame that are not drawing."""
@@ -274,7 +308,8 @@ class RenderEngine:
                 if frame.checkable:
                     self.check(scene, view, target, cancelled)
                 else:
-                    self.baker.wait(*self._chunks(scene, frame), left)
+                    bake, stage = self.lacking(scene, frame)
+                    self.baker.wait(bake, [demand.index for demand in stage.demands], left)
             frame = self.survey(scene, view, target, cancelled, watch)
         return frame
 
@@ -378,16 +413,32 @@ class RenderEngine:
         make = partial(make_bake, loaded.renderer.caches, "gi", loaded.assets, arrived, stage.shown)
         return self._side_bakes.name(scene, stage.shown, fineness, make)
 
-    def _chunks(self, scene: str, frame: Frame) -> tuple[str, list[Index]]:
-        """Return the bake that a ``frame`` needs light of next, and the indices of the chunks."""
+    def unfinished(self, scene: str, frame: Frame, max_error: float | None = None) -> Unfinished:
+        """Return everything that a ``frame`` lacks to reach ``max_error``, by default the target of
+        its scene.
+        """
+        target = max_error or self._find(scene).scene.target_error
+        picture = (scene, frame.view, max_error, target)
+        lacks = Unfinished(*picture, frame.final, frame.refinable, frame.seconds)
+        if frame.final:
+            return lacks
         bake, stage = self.lacking(scene, frame)
-        return bake, [demand.index for demand in stage.demands]
+        lacking = frame.quality.lacking
+        return replace(
+            lacks,
+            bake=bake,
+            chunks=tuple(demand.index for demand in stage.demands),
+            later=(frame.quality.finer or frame).stages[1:],
+            read=lacking.texels.chunks if lacking else None,
+            fineness=frame.quality.fineness,
+            foreseen=ViewChecks.foreseen(frame, target),
+        )
 
-    def waiting(self, scene: str, frame: Frame, viewer: Viewer) -> int:
-        """Return the number of chunks that a ``frame`` lacks and that are still to be baked;
+    def waiting(self, lacks: Unfinished, viewer: Viewer) -> int:
+        """Return the number of chunks that a picture ``lacks`` and that are still to be baked;
         renew the interest of the ``viewer`` in them.
         """
-        return self.baker.open(*self._chunks(scene, frame), viewer)
+        return self.baker.open(lacks.bake, list(lacks.chunks), viewer)
 
     def leave(self, viewer: Viewer) -> None:
         """Drop the requests and the picture check of a ``viewer`` that has gone."""
@@ -412,29 +463,30 @@ class RenderEngine:
         """Estimate the seconds until the view of a ``frame`` is final. None if that is unknown,
         if nothing more is done for the view, or if there are no workers.
         """
-        picture = (scene, frame.view, max_error)
-        if frame.final:
+        return self.time_without(self.unfinished(scene, frame, max_error))
+
+    def time_without(self, lacks: Unfinished) -> TimeLeft | None:
+        """Estimate the seconds until a picture has all that it ``lacks``; None as ``time_left``."""
+        picture = (lacks.scene, lacks.view, lacks.max_error)
+        if lacks.final:
             with self._estimating:
                 self._estimator.end(picture, time.monotonic())
             return TimeLeft(0.0, 0.0, 0.0)
-        loaded = self._find(scene)
-        target = max_error or loaded.scene.target_error
         # Texels are baked first, by the workers; after them paths of control pixels and of pixels'
         # light are traced in this process.
-        bake, chunks = self._chunks(scene, frame)
-        if not (chunks or frame.refinable):
+        if not (lacks.chunks or lacks.refinable):
             return None
         # Texels of this stage and of all later ones.
-        subject = (scene, surface_key(frame.view), target)
-        later = (frame.quality.finer or frame).stages[1:]
-        baking = self.baker.time_left(bake, subject, chunks, later)
+        subject = (lacks.scene, surface_key(lacks.view), lacks.target)
+        baking = self.baker.time_left(lacks.bake, subject, list(lacks.chunks), lacks.later)
         if baking is None:
             return None
         # Paths from pixels, and drawing the picture meanwhile.
-        left = loaded.level(frame.quality.fineness).renderer.checks.left(frame, target)
-        if lacking := frame.quality.lacking:
-            spent = self.baker.spent(bake, lacking.texels.chunks)
-            baking = baking.plus(time_of_paths(left, spent, self._checking.threads, frame.seconds))
+        checks = self._find(lacks.scene).level(lacks.fineness).renderer.checks
+        left = checks.known_left(lacks.view, lacks.target) or lacks.foreseen
+        if lacks.read is not None:
+            spent = self.baker.spent(lacks.bake, lacks.read)
+            baking = baking.plus(time_of_paths(left, spent, self._checking.threads, lacks.seconds))
         # Report a time that does not jump.
         if baking.high > 0.0:
             return self._promises.kept(picture, self._learnt(picture, baking))

@@ -124,6 +124,9 @@ class EngineWorkers:
                 self._error = None
                 return
             except IsogiError as error:
+                # A start that was stopped is no trouble.
+                if self._stopped.is_set():
+                    return
                 self._error = error
                 log.error("%s", error)
             except Exception as error:
@@ -140,7 +143,7 @@ class EngineWorkers:
         """
         if self._store.scheme == "memory":
             raise WorkersError(MEMORY_STORE_UNSEEN)
-        self._pool = pool.start_pool(self._workers, self._scheduler, kinds)
+        self._pool = pool.start_pool(self._workers, self._scheduler, kinds, self._stopped)
         # The pool calls the baker when workers come or return.
         self._pool.attend(self._baker.stir)
         self._baker.employ(self._pool)

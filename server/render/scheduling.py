@@ -207,6 +207,32 @@ class FairSemaphore:
             first[1].set_result(None)
 
 
+class Room(FairSemaphore):
+    """Places that works hold until their results are out of memory. Time in them does not count as
+    time of the client: it counts on the threads.
+    """
+
+    async def enter(self, rank: Rank) -> "Entered":
+        """Wait for a place, to be left by the caller. Raises BusyError if the rank gives up
+        before.
+        """
+        await self._wait(rank)
+        return Entered(self._give_back)
+
+
+@dataclass(eq=False)
+class Entered:
+    """A place in a ``Room``; leaving it twice is no error."""
+
+    _give_back: Callable[[], None] | None = None
+
+    def leave(self) -> None:
+        """Give the place back."""
+        if self._give_back is not None:
+            self._give_back()
+            self._give_back = None
+
+
 Result = TypeVar("Result")
 
 DRAFT = 0.0

@@ -22,6 +22,15 @@ def test_each_route_has_its_costliest_requests(tmp_path: Path) -> None:
     assert COSTLIEST.keys() == document["paths"].keys()
 
 
+@pytest.mark.slow
+def test_twelve_of_the_costliest_pictures_fit_into_memory() -> None:
+    """Those that take most draw pictures, or list chunks."""
+    drawn = [f"--only={path}" for path in ("/frame", "/coverage", "/events", "/card/chunks")]
+    found = figures(routes, "demo:casting", "--at-once", "12", "--seconds", "5", *drawn)
+    assert found["requests"] >= 13 and found["answered 5xx"] == 0
+    assert 0.0 < found["highest memory of the server, MiB"] < MOST_MIB
+
+
 @pytest.mark.long
 @pytest.mark.slow
 def test_twelve_of_the_costliest_requests_fit_into_memory() -> None:
@@ -32,8 +41,7 @@ def test_twelve_of_the_costliest_requests_fit_into_memory() -> None:
 
 @pytest.mark.slow
 def test_no_generated_request_makes_the_server_fail(tmp_path: Path) -> None:
-    if program() is None:
-        pytest.skip(f"{PROGRAM} is not installed: add it to the tools of development")
+    assert program(), f"{PROGRAM} is a tool of development: make the environment again"
     with serving("demo:orbital", f"{tmp_path}/light", 1) as served:
         counts, lacking = generated(served, tmp_path, 800)
         assert not lacking and counts[200] > 0

@@ -1,6 +1,7 @@
 """An engine without worker processes: tasks are baked on a thread of this process."""
 
 import pickle
+import threading
 from collections.abc import Callable, Collection
 from concurrent.futures import ThreadPoolExecutor
 from hashlib import sha256
@@ -60,7 +61,11 @@ class InlinePool:
     trouble = ""
 
     def __init__(
-        self, workers: int = 1, scheduler: str | None = None, kinds: Collection[str] = ()
+        self,
+        workers: int = 1,
+        scheduler: str | None = None,
+        kinds: Collection[str] = (),
+        stopped: threading.Event | None = None,
     ) -> None:
         """Take what a ``WorkerPool`` takes, and start one thread."""
         self._thread = ThreadPoolExecutor(1)

@@ -2,6 +2,7 @@
 
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from pickle import dumps
@@ -103,3 +104,8 @@ def run(pool: LocalPool, work: Callable[..., Any], *what: Any) -> list[Any]:
         if error is not None:
             raise error
     return [result for result, _ in answers]
+
+
+def sleep_for_ever(*_: object) -> None:
+    """Stand in for a worker that never takes jobs."""
+    time.sleep(600.0)

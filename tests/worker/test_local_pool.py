@@ -26,10 +26,12 @@ from tests.worker.pools import (
     made,
     named,
     run,
+    sleep_for_ever,
     tasks_for,
 )
 from worker.baker import Baker
 from worker.errors import LostWorkerError, WorkersAwayError, WorkersError
+from worker.fork_server import WORKER_PROCESS_NAME
 from worker.local_pool import LocalPool
 from worker.niceness import BACK_NICENESS, FORWARD_NICENESS, WORKER_NICENESS
 from worker.pool import TASKS_AHEAD
@@ -272,3 +274,15 @@ def test_tasks_of_a_closed_pool_are_put_off(tmp_path: Path) -> None:
     fresh.submit(tasks_for(tmp_path)[0], lambda _, error: told.append(error))
     assert wait_for(lambda: len(told) == 5, LONG)
     assert {type(error) for error in told} == {WorkersAwayError}
+
+
+def test_a_pool_that_is_stopped_waits_for_no_worker(monkeypatch: pytest.MonkeyPatch) -> None:
+    """If it waited for workers that still load kernels, a command would end seconds late."""
+    monkeypatch.setattr("worker.local_pool.run_worker", sleep_for_ever)
+    stopped = threading.Event()
+    threading.Timer(0.2, stopped.set).start()
+    before = set(psutil.Process().children(recursive=True))
+    with pytest.raises(WorkersError, match="stopped before they came"):
+        LocalPool(1, stopped=stopped)
+    made = set(psutil.Process().children(recursive=True)) - before
+    assert not [each for each in made if each.name() == WORKER_PROCESS_NAME]

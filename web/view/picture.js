@@ -7,7 +7,7 @@ const LONGEST_SIDE = 1024; // pixels of a side while light is still converging
 /** Pixels per CSS pixel while light is still converging: more would cost much and show little. */
 const HIGHEST_RATIO = 1.5;
 const SHORTEST_SIDE = 64; // pixels
-const MOST_PIXELS = 1 << 24; // pixels that a server accepts
+const MOST_PIXELS = 1 << 22; // pixels that a server accepts
 
 /**
  * Return the size of the picture that fills a box on a screen, times `scale`: all of the screen's

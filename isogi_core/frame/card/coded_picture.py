@@ -133,7 +133,7 @@ class ControlPictures:
         light = RotatedLight(renderer.caches.spec("gi"), view)
         places = draw_places(gbuffer, np.zeros(points), (number, 0), CONTROLS)
         halves = trace_controls(
-            light, gbuffer, places, paths_for(self._target), number, renderer.tiles
+            light, gbuffer, places, (0, paths_for(self._target)), number, renderer.tiles
         )
         return Control(view, gbuffer, ControlPixels(places, np.ones(len(places)), halves))
 

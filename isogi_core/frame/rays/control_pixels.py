@@ -45,7 +45,11 @@ by uncertainty.
 
 FEWEST_PATHS = 16
 MOST_PATHS = 512
-"""Number of paths of each half, at least and at most."""
+LAST_PATHS = 1 << 14
+"""Number of paths of each half: at least and at most when controls are drawn, and the most later.
+More than MOST_PATHS are traced if a picture seems to be at its target and the noise of its controls
+alone leaves that open.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +90,17 @@ class ControlPixels:
         variate, with less noise than the mean of the paths.
         """
         return max(mean - float((self.weights * (shown - self.halves.mean(axis=1))).mean()), 0.0)
+
+    @property
+    def noise(self) -> float:
+        """The mean variance of the luminance that one half of the paths gives."""
+        return float((self.weights * (self.halves[:, 0] - self.halves[:, 1]) ** 2).mean()) / 2.0
+
+    def deepened(self, halves: np.ndarray) -> "ControlPixels":
+        """Return these controls with twice as many paths: the added ones gave the luminance
+        ``halves`` (k, 2).
+        """
+        return ControlPixels(self.places, self.weights, (self.halves + halves) / 2.0)
 
     def squares(self, shown: np.ndarray) -> np.ndarray:
         """Return an unbiased estimate of the squared error of the luminance ``shown`` (k,) at
@@ -204,18 +219,25 @@ def paths_for(target: float) -> int:
 
 
 def trace_controls(
-    light: RotatedLight, gbuffer: GBuffer, places: np.ndarray, paths: int, stream: int, tiles: Tiles
+    light: RotatedLight,
+    gbuffer: GBuffer,
+    places: np.ndarray,
+    span: tuple[int, int],
+    stream: int,
+    tiles: Tiles,
 ) -> np.ndarray:
-    """Trace two halves of ``paths`` paths each from the points in rows ``places`` (k,); return
-    their luminance, (k, 2).
+    """Trace two halves of paths from the points in rows ``places`` (k,); return their luminance,
+    (k, 2). ``span`` is the number of paths of each half that were traced before, and the number
+    to trace.
 
     Each ``stream`` has random numbers of its own. Raises Cancelled.
     """
+    first, paths = span
     # A point that was drawn more than once is traced once: it would draw the same random numbers.
     distinct, rows = np.unique(places, return_inverse=True)
     sums = np.zeros((len(distinct), 2, 3))
     paths_from = Paths(light, gbuffer.part(distinct, tiles), tiles, bounces_of_truth(light))
-    paths_from.add(sums, streams.CONTROLS_STREAM + 2 * stream, 0, paths)
+    paths_from.add(sums, streams.CONTROLS_STREAM + 2 * stream, first, paths)
     return np.asarray((sums @ LUMINANCE_WEIGHTS / paths)[rows])
 
 

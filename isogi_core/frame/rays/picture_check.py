@@ -23,6 +23,7 @@ from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.control_pixels import (
     CONTROLS_IF_MISSED,
     FIRST_CONTROLS,
+    LAST_PATHS,
     MAX_CONTROLS,
     ControlPixels,
     TotalError,
@@ -61,11 +62,17 @@ the controls are in doubt, not the light.
 """
 
 
+EARLY_PATHS = 64
+"""Paths of each half of a control while light of the picture is still to come: its error is 5 % or
+more.
+"""
+
+
 @dataclass(eq=False)
 class PictureCheck:
     """The check of one picture.
 
-    - ``light``, ``gbuffer``: of the view.
+    - ``light``: of the view.
     - ``known``: what the check has found so far.
     - ``growing``: light of pixels that is being traced for the next attempt; None if there is none.
     - ``pace``: seconds that a path of a pixel takes; None before any was traced.
@@ -77,7 +84,6 @@ class PictureCheck:
     """
 
     light: RotatedLight
-    gbuffer: GBuffer
     known: PictureState
     growing: Growth | None = None
     pace: float | None = None
@@ -120,7 +126,7 @@ class PictureCheck:
         """Take the step that is due; return False if there is none."""
         # Light of pixels that was begun is finished first.
         if self.growing is not None:
-            return self._grow(self.growing, tiles)
+            return self._grow(self.growing, frame.gbuffer, tiles)
         # On a new rung, or with new light of pixels, the picture is measured again.
         if self.known.outdated or frame.measured is None:
             return self._begin_rung(frame, uncertainty, tiles)
@@ -137,7 +143,10 @@ class PictureCheck:
             costs = [prices.path * each for each in climbs]
             if self._climbing_decides(frame, frame.measured, costs):
                 return self._climb(frame)
-            return self._add_controls(frame.measured, uncertainty, tiles)
+            return self._add_controls(frame, frame.measured, uncertainty, tiles)
+        # If only the noise of the controls leaves the target open, they take more paths.
+        if self._blurred(frame, frame.measured):
+            return self._deepen(frame.gbuffer, tiles)
         # The picture misses its target. Take the first step of the cheapest plan: rungs, or light
         # of pixels. If finer texels are cheaper, the check ends with ``coarse`` set, and the caller
         # shows them.
@@ -148,7 +157,7 @@ class PictureCheck:
         self.ahead = plan.ahead(first, last)
         if plan.rungs:
             return not plan.finer and self._climb(frame, rungs_at_once(plan.rungs, climbs, first))
-        return self._grow(Growth(plan.choice, self.known.own), tiles)
+        return self._grow(Growth(plan.choice, self.known.own), frame.gbuffer, tiles)
 
     def decline(self) -> None:
         """Go on without finer texels: memory has no room for them."""
@@ -166,6 +175,24 @@ class PictureCheck:
             most = CONTROLS_IF_MISSED
         return measured.low > self.known.target or measured.controls >= most
 
+    def _blurred(self, frame: Frame, measured: TotalError) -> bool:
+        """Return True if a picture seems to be at its target, and the noise of the controls' paths,
+        which is larger than the error of the picture, leaves that open.
+        """
+        error = measured.likely * frame.true_mean
+        return (
+            measured.likely <= self.known.target
+            and self.known.paths < LAST_PATHS
+            and self.known.controls.noise > error**2
+        )
+
+    def _deepen(self, gbuffer: GBuffer, tiles: Tiles) -> bool:
+        """Double the paths of the controls."""
+        known = self.known
+        more = self._trace(gbuffer, known.controls.places, (known.paths, known.paths), tiles)
+        self.known = replace(known, controls=known.controls.deepened(more), paths=2 * known.paths)
+        return True
+
     def _climbing_decides(
         self, frame: Frame, measured: TotalError, climbs: Sequence[float]
     ) -> bool:
@@ -181,17 +208,27 @@ class PictureCheck:
 
     def _begin_rung(self, frame: Frame, uncertainty: np.ndarray, tiles: Tiles) -> bool:
         """Draw the first controls of a rung, or of an attempt, with paths for the larger of
-        target and noise.
+        target and noise. While light of the picture is still to come, controls measure its error
+        so far.
         """
         known = self.known
-        paths = paths_for(max(self.known.target, frame.noise))
-        first = self._draw(uncertainty, 0, FIRST_CONTROLS, paths, tiles)
+        # Controls of a picture that is still provisional count as drawn on no rung, so that new
+        # ones are drawn once all its light is there.
+        if frame.provisional:
+            paths = EARLY_PATHS
+            drawn = 0
+        else:
+            paths = paths_for(max(known.target, frame.noise))
+            drawn = known.enough
+        first = self._draw(frame.gbuffer, uncertainty, (0, FIRST_CONTROLS), paths, tiles)
         self.known = replace(
-            known, uncertainty=uncertainty, controls=first, drawn=known.enough, paths=paths
+            known, uncertainty=uncertainty, controls=first, drawn=drawn, paths=paths
         )
         return True
 
-    def _add_controls(self, measured: TotalError, uncertainty: np.ndarray, tiles: Tiles) -> bool:
+    def _add_controls(
+        self, frame: Frame, measured: TotalError, uncertainty: np.ndarray, tiles: Tiles
+    ) -> bool:
         """Draw as many more controls as it takes to decide: at least as many as there are, at
         most three times as many.
         """
@@ -204,24 +241,38 @@ class PictureCheck:
             most = CONTROLS_IF_MISSED
         wanted = min(controls_to(measured, measured.likely, known.target), most)
         count = int(np.clip(wanted - before, before, 3 * before))
-        more = self._draw(uncertainty, before, count, known.paths, tiles)
+        more = self._draw(frame.gbuffer, uncertainty, (before, count), known.paths, tiles)
         self.known = replace(known, uncertainty=uncertainty, controls=known.controls.joined(more))
         return True
 
     def _draw(
-        self, uncertainty: np.ndarray, before: int, count: int, paths: int, tiles: Tiles
+        self,
+        gbuffer: GBuffer,
+        uncertainty: np.ndarray,
+        span: tuple[int, int],
+        paths: int,
+        tiles: Tiles,
     ) -> ControlPixels:
-        """Draw ``count`` controls of ``paths`` paths in each half, after the ``before`` ones
-        that there are.
+        """Draw controls of ``paths`` paths in each half. ``span`` is the number of controls that
+        there are, and the number to draw.
         """
-        attempt = self.known.attempt
-        places = draw_places(self.gbuffer, uncertainty, (attempt, before), count)
-        begun = time.perf_counter()
-        halves = trace_controls(self.light, self.gbuffer, places, paths, attempt, tiles)
-        self.pace = (time.perf_counter() - begun) / (2.0 * paths * count)
+        before, count = span
+        places = draw_places(gbuffer, uncertainty, (self.known.attempt, before), count)
+        halves = self._trace(gbuffer, places, (0, paths), tiles)
         # A weight is the chance of a point if all are drawn evenly, over its chance here.
         weights = 1.0 / (len(uncertainty) * chances(uncertainty)[places])
         return ControlPixels(places, weights, halves)
+
+    def _trace(
+        self, gbuffer: GBuffer, places: np.ndarray, span: tuple[int, int], tiles: Tiles
+    ) -> np.ndarray:
+        """Trace the ``span`` of paths of controls at ``places``, and time them: see
+        ``trace_controls``.
+        """
+        begun = time.perf_counter()
+        halves = trace_controls(self.light, gbuffer, places, span, self.known.attempt, tiles)
+        self.pace = (time.perf_counter() - begun) / max(2.0 * span[1] * len(places), 1.0)
+        return halves
 
     def _climb(self, frame: Frame, rungs: int = 1) -> bool:
         """Have texels double their samples once for each of the ``rungs``; they are baked when
@@ -256,7 +307,7 @@ class PictureCheck:
         # up to it.
         known_error = (measured.likely * frame.true_mean) ** 2
         errors *= max(known_error / max(float(errors.mean()), 1e-300), 1.0)
-        errors, noise = self._by_regions(errors, noise, tiles)
+        errors, noise = self._by_regions(frame.gbuffer, errors, noise, tiles)
         # Count the texels and chunks that each rung would bake.
         texels = 0
         chunks = 0
@@ -273,13 +324,13 @@ class PictureCheck:
         return min(plans, key=lambda plan: plan.cost(prices))
 
     def _by_regions(
-        self, errors: np.ndarray, noise: np.ndarray, tiles: Tiles
+        self, gbuffer: GBuffer, errors: np.ndarray, noise: np.ndarray, tiles: Tiles
     ) -> tuple[np.ndarray, np.ndarray]:
         """Average squared ``errors`` and variances of ``noise`` (m,) over neighbouring pixels,
         so that pixels that are chosen form regions: borders of scattered pixels would show.
         Raises Cancelled.
         """
-        around = Surroundings(self.gbuffer, tiles)
+        around = Surroundings(gbuffer, tiles)
         found = np.column_stack([noise, errors])
         for step, _ in FILTER_PASSES:
             found, _ = around.means(found, noise, step)
@@ -313,7 +364,7 @@ class PictureCheck:
             return self.known.enough
         return max(self.known.enough, int(lit.min()))
 
-    def _grow(self, growth: Growth, tiles: Tiles) -> bool:
+    def _grow(self, growth: Growth, gbuffer: GBuffer, tiles: Tiles) -> bool:
         """Trace further paths from the points of a ``growth``; return False if they have all that
         they may.
 
@@ -327,7 +378,7 @@ class PictureCheck:
         self.growing = Growth(growth.choice, growth.light)
         begun = time.perf_counter()
         light = growth.light.grown(
-            growth.choice, count, self.light, self.gbuffer, tiles, self.growing.note
+            growth.choice, count, self.light, gbuffer, tiles, self.growing.note
         )
         self.pace = (time.perf_counter() - begun) / max(self.growing.traced, 1)
         self.growing = Growth(growth.choice, light)

@@ -27,6 +27,7 @@ from server.api.service import (
 from server.errors import BusyError, ParameterError, UnknownSceneError
 from server.parameters import ViewParams, ViewParamsDep, documented
 from server.problems import documented_problems
+from server.render.engine import Unfinished
 from server.render.viewers import stream_viewer
 from server.schemas import TimeLeftSchema
 from worker.bake_requests import Viewer
@@ -105,46 +106,60 @@ async def events_of(
     """
     with service.connections.admitted(client) as place:
         try:
+            lacks = None
             async with aclosing(answers(service, picture, viewer)) as shown_so_far:
-                async for shown, new in shown_so_far:
+                async for shown in shown_so_far:
                     place.check()
-                    if not new:
-                        yield event("progress", await progress(service, picture, shown, viewer))
-                    elif not (shown.frame.final or shown.coming):
-                        # Not final, and nothing is coming: the light was given up.
-                        yield event(
-                            "failed",
-                            coverage(shown) | {"detail": reason(service, shown.frame, viewer)},
-                            shown.frame.version,
-                        )
-                    elif shown.frame.version != seen:
-                        if shown.frame.final:
-                            kind = "final"
-                        else:
-                            kind = "refined"
-                        yield event(kind, coverage(shown), shown.frame.version)
+                    if shown is None:
+                        if lacks is not None:
+                            yield event("progress", await progress(service, lacks, viewer))
+                        continue
+                    lacks = await asyncio.to_thread(
+                        service.engine.unfinished, picture.scene, shown.frame, picture.target
+                    )
+                    kind, facts = event_of(service, shown, viewer)
+                    version = shown.frame.version
+                    # Free megabytes while the client listens and light is baked.
+                    shown.place.leave()
+                    del shown
+                    if kind == "failed" or version != seen:
+                        yield event(kind, facts, version)
         finally:
             service.leave(viewer)
 
 
+def event_of(service: Service, shown: Shown, viewer: Viewer) -> tuple[str, dict[str, Any]]:
+    """Return the kind of the event that reports a picture to a ``viewer``, and its data."""
+    if shown.frame.final:
+        return "final", coverage(shown)
+    if shown.coming:
+        return "refined", coverage(shown)
+    # Not final, and nothing is coming: the light was given up.
+    return "failed", coverage(shown) | {"detail": reason(service, shown.frame, viewer)}
+
+
 async def answers(
     service: Service, picture: PictureRequest, viewer: Viewer
-) -> AsyncGenerator[tuple[Shown, bool], None]:
-    """Yield each answer to a picture request with True; if none comes for TIME_LEFT_SECONDS,
-    yield the last one again with False.
+) -> AsyncGenerator[Shown | None, None]:
+    """Yield each answer to a picture request, and None after TIME_LEFT_SECONDS seconds without a
+    new one.
+
+    No answer is kept while the next one is awaited, as a picture takes megabytes.
     """
     async with aclosing(service.refinements(picture, viewer)) as refinements:
-        shown = None
         coming = asyncio.ensure_future(anext(refinements, None))
         try:
             while True:
                 done, _ = await asyncio.wait({coming}, timeout=TIME_LEFT_SECONDS)
-                if done and (shown := coming.result()) is None:
+                if not done:
+                    yield None
+                    continue
+                # The set would hold the picture as well.
+                done.clear()
+                if coming.result() is None:
                     return
-                if done:
-                    coming = asyncio.ensure_future(anext(refinements, None))
-                if shown:
-                    yield shown, bool(done)
+                yield coming.result()
+                coming = asyncio.ensure_future(anext(refinements, None))
         finally:
             # Wait until the generator has really ended, so that ``aclosing`` can close it.
             coming.cancel()
@@ -164,14 +179,10 @@ def coverage(shown: Shown) -> dict[str, Any]:
     return coverage_schema(shown.frame, shown.time_left).model_dump()
 
 
-async def progress(
-    service: Service, picture: PictureRequest, shown: Shown, viewer: Viewer
-) -> dict[str, Any]:
+async def progress(service: Service, lacks: Unfinished, viewer: Viewer) -> dict[str, Any]:
     """Return the number of chunks that are still to be baked, and the time left."""
-    engine = service.engine
-    frame = shown.frame
-    waiting = await asyncio.to_thread(engine.waiting, picture.scene, frame, viewer)
-    left = await asyncio.to_thread(engine.time_left, picture.scene, frame, picture.target)
+    waiting = await asyncio.to_thread(service.engine.waiting, lacks, viewer)
+    left = await asyncio.to_thread(service.engine.time_without, lacks)
     known = None if left is None else TimeLeftSchema(**asdict(left)).model_dump()
     return {"waiting": waiting, "time_left": known, "overdue": bool(left and left.overdue)}
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterable
+from functools import partial
 from typing import Any
 from urllib.parse import urlencode
 
 from fastapi import APIRouter, Request, Response
 from starlette.responses import StreamingResponse
+from starlette.types import Message, Send
 
 from isogi_core.errors import StoreAwayError
 from isogi_core.frame.frame import Frame
@@ -39,10 +41,14 @@ from server.pictures import MEDIA_TYPES, encode, format_for, npy_bytes, npy_part
 from server.problems import documented_problems
 from server.render.bakes import BackgroundBake
 from server.render.jobs import Job, Result
-from server.render.scheduling import REFINEMENT_PATIENCE
+from server.render.scheduling import REFINEMENT_PATIENCE, REQUEST_PATIENCE, Room
 from server.render.viewers import background_viewer, request_viewer, stream_viewer
 from server.schemas import CameraSchema, Coverage
+from worker.bake_requests import Viewer
 from worker.errors import WorkersError
+
+SLOWEST_PART = 5.0
+"""Seconds for which a client may take nothing of its answer while other answers wait."""
 
 router = APIRouter(prefix="/v1/scenes/{scene}", tags=["frames"])
 APPLIED = {"Preference-Applied": {"description": "The preferences that were applied."}}
@@ -107,7 +113,7 @@ async def read_frame(
                 status_code=304, headers=headers | {"Server-Timing": server_timing(watch)}
             )
         if form == "npy":
-            return in_parts(frame, headers | {"Server-Timing": server_timing(watch)})
+            return InTurn(service, viewer, frame, headers | {"Server-Timing": server_timing(watch)})
         with watch.stage("encode"):
             body = encode(frame, form, exposure, params)
         return Response(
@@ -134,12 +140,55 @@ async def read_frame(
     )
 
 
-def in_parts(frame: Frame, headers: dict[str, str]) -> Response:
-    """Answer with a frame as npy, made while it is sent: made as a whole, a large one would
-    take its memory several times.
+class InTurn(StreamingResponse):
+    """A frame as npy, made while it is sent: made as a whole, a large one would take its memory
+    several times.
+
+    Only a few large frames are sent at once, as each is in memory until its client has it. If a
+    client takes nothing for long while others wait, its answer is cut short.
     """
-    whole = headers | {"Content-Length": str(npy_bytes(frame))}
-    return StreamingResponse(npy_parts(frame), 200, whole, MEDIA_TYPES["npy"])
+
+    def __init__(
+        self, service: Service, viewer: Viewer, frame: Frame, headers: dict[str, str]
+    ) -> None:
+        """Answer a ``viewer`` with a ``frame``."""
+        whole = headers | {"Content-Length": str(npy_bytes(frame))}
+        super().__init__(npy_parts(frame), 200, whole, MEDIA_TYPES["npy"])
+        self._service = service
+        self._viewer = viewer
+        self._room = service.threads.sending(frame.view)
+
+    async def stream_response(self, send: Send) -> None:
+        """Send the frame once it is its turn. Raises BusyError if that takes too long."""
+        if self._room is None:
+            await super().stream_response(send)
+            return
+        patience = self._service.settings.queue_seconds
+        rank = self._service.rank(self._viewer, REQUEST_PATIENCE, patience)
+        place = await self._room.enter(rank)
+        try:
+            await super().stream_response(partial(self._send, send, self._room))
+        except StalledError:
+            pass  # The answer is cut short, and uvicorn closes the connection.
+        finally:
+            place.leave()
+
+    async def _send(self, send: Send, room: Room, message: Message) -> None:
+        """Send a part. Raises StalledError if the client takes nothing of it while other answers
+        wait for the ``room``.
+        """
+        sending = asyncio.ensure_future(send(message))
+        try:
+            while not (await asyncio.wait({sending}, timeout=SLOWEST_PART))[0]:
+                if room.crowded:
+                    raise StalledError
+            await sending
+        finally:
+            sending.cancel()
+
+
+class StalledError(Exception):
+    """A client takes nothing of its answer while other answers wait."""
 
 
 @router.get(

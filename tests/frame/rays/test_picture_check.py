@@ -14,7 +14,9 @@ import pytest
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.errors import Cancelled
 from isogi_core.files.radiance import write_hdr
+from isogi_core.frame.demand import first_texels
 from isogi_core.frame.frame import TAIL, Frame, Quality
+from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.control_pixels import (
     FIRST_CONTROLS,
     MAX_CONTROLS,
@@ -23,6 +25,7 @@ from isogi_core.frame.rays.control_pixels import (
     chances,
     draw_places,
     measure_total,
+    trace_controls,
 )
 from isogi_core.frame.rays.picture_check import PictureCheck
 from isogi_core.frame.rays.picture_plan import (
@@ -295,8 +298,39 @@ def test_a_rung_is_for_noise_that_it_takes_away(
         quality=quality, noise=0.02, measured=total, surface=9, final=False
     )
     unused: Any = None
-    PictureCheck(unused, unused, state).advance(frame, np.empty(0), unused, PRESENT)
+    PictureCheck(unused, state).advance(frame, np.empty(0), unused, PRESENT)
     assert taken == [step]
+
+
+def test_controls_noisier_than_the_error_take_more_paths(
+    monkeypatch: pytest.MonkeyPatch, coarse: Workbench
+) -> None:
+    """If a picture is at its target, and its controls are too noisy to show it, they need more
+    paths, and the picture needs no better light.
+    """
+    bench = coarse.again()
+    view = coarse.view(azimuth=140.0, size=32)
+    target = 0.2
+    monkeypatch.setattr("isogi_core.frame.rays.picture_check.paths_for", lambda _: 1)
+    monkeypatch.setattr("isogi_core.frame.rays.picture_check.MAX_CONTROLS", FIRST_CONTROLS)
+    frames = climbed(bench, view, target)
+    doubted = [each for each in frames if each.measured and each.measured.high > target]
+    assert doubted and not doubted[-1].final
+    last = frames[-1]
+    assert last.final and last.quality.known is not None
+    assert last.quality.known.paths > 1 and last.quality.own == 0
+
+
+def test_deeper_controls_are_those_of_as_many_paths(coarse: Workbench) -> None:
+    view = coarse.view(azimuth=140.0, size=16)
+    gbuffer = coarse.renderer.gbuffer(view)
+    light = RotatedLight(coarse.renderer.caches.spec("gi"), view)
+    places = np.arange(0, len(gbuffer.points), 7)
+    once = trace_controls(light, gbuffer, places, (0, 64), 0, coarse.renderer.tiles)
+    begun = trace_controls(light, gbuffer, places, (0, 32), 0, coarse.renderer.tiles)
+    more = trace_controls(light, gbuffer, places, (32, 32), 0, coarse.renderer.tiles)
+    controls = ControlPixels(places, np.ones(len(places)), begun).deepened(more)
+    np.testing.assert_allclose(controls.halves, once, rtol=1e-9)
 
 
 def test_no_pixel_is_final_while_its_picture_may_become_better(coarse: Workbench) -> None:
@@ -550,3 +584,32 @@ def test_cheap_rungs_are_climbed_at_once() -> None:
     assert rungs_at_once(3, [0.0, 10.0, 30.0, 70.0], check=40.0) == 2
     assert rungs_at_once(1, [0.0, 10.0, 30.0, 70.0], check=40.0) == 1
     assert rungs_at_once(3, [0.0, 50.0, 150.0, 350.0], check=40.0) == 1
+
+
+@pytest.mark.parametrize("part", [0.5, 1.0])
+def test_light_that_is_still_to_come_is_measured(workbench: Make, part: float) -> None:
+    """While part of a picture has no light, or few samples, controls measure the error of all its
+    pixels: the true one is in the interval, and not all light counts as error.
+    """
+    bench = workbench(load_scene("demo:orbital", lights=[SKY], bounces=1))
+    view = bench.view(azimuth=20.0, size=32)
+    loader = bench.caches.of("gi")
+    demands = sorted(bench.renderer.render(view, TARGET).demands, key=lambda each: each.index)
+    bits = bench.renderer.prepared.lattice.bits
+    for demand in demands[: int(part * len(demands))]:
+        some = demand.offsets[first_texels(demand.offsets, bits)]
+        refine_chunk(loader, FIRST_LEVEL, TARGET, replace(demand, offsets=some))
+    before = bench.renderer.render(view, TARGET)
+    assert before.unmeasured and before.total.predicted
+    assert bench.renderer.refine(view, TARGET)
+    frame = bench.renderer.render(view, TARGET)
+    assert not frame.unmeasured and frame.provisional and not frame.final
+    assert (frame.noise > 0.3) == (part < 1.0)
+    best = trace_reference(bench.renderer, view, 1024)
+    light = best.mean[frame.state > 0].astype(np.float64) @ LUMINANCE_WEIGHTS
+    true = math.sqrt(((luminance(frame) - light) ** 2).mean()) / light.mean()
+    assert frame.total.low <= true <= frame.total.high < 1.0
+    assert not bench.renderer.refine(view, TARGET)
+    settled = climbed(bench, view, TARGET)[-1]
+    assert settled.final and settled.quality.known is not None
+    assert not settled.quality.outdated

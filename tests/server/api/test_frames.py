@@ -341,7 +341,7 @@ def test_bad_input_is_422_in_one_sentence(client: httpx.Client, query: str) -> N
 @pytest.mark.parametrize(
     ("view", "words"),
     [
-        ({"width": 4097, "height": 4096}, "16777216"),
+        ({"width": 2049, "height": 2048}, "4194304"),
         ({"width": 2048, "height": 2048, "shading": "path_traced", "samples": 4096}, "paths"),
     ],
 )

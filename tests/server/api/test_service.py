@@ -28,13 +28,17 @@ from isogi_core.storage.store import Store
 from server.api import service as service_module
 from server.api.app import create_app
 from server.api.lifespan import Startup
+from server.api.routes import frames as frames_module
+from server.api.routes.frames import InTurn
 from server.api.routes.scenes import scene_facts
 from server.api.service import Service
 from server.errors import BusyError
 from server.parameters import ViewParams
+from server.pictures import npy_bytes
 from server.render.scene_variant import SceneVariant
 from server.render.scheduling import Rank, Renders
 from server.settings import Settings
+from server.views import view_of
 from tests.server.sockets import wait_for
 from worker.bake_requests import Viewer
 from worker.baker import Listener
@@ -476,6 +480,80 @@ async def test_large_pictures_are_drawn_one_at_a_time(
     answers = await started(app, *({"azimuth": azimuth, "height": 64} for azimuth in range(4)))
     assert [answer.status_code for answer in answers] == [200] * 4
     assert len(engine.views) == 4 and most == [1]
+
+
+async def test_a_large_picture_has_its_place_until_it_is_encoded(
+    engine: FakeEngine, app: FastAPI, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A frame that waits to be encoded takes as much memory as one that is being drawn."""
+    monkeypatch.setattr(service_module, "LARGE_PICTURE_PIXELS", 100)
+    steps: list[str] = []
+
+    def work(_: threading.Event) -> None:
+        steps.append("drawn")
+        time.sleep(0.02)
+
+    def slowly(*arguments: Any) -> bytes:
+        time.sleep(0.05)
+        steps.append("encoded")
+        return b"a picture"
+
+    engine.doing = work
+    monkeypatch.setattr(frames_module, "encode", slowly)
+    answers = await started(app, *({"azimuth": azimuth, "height": 64} for azimuth in range(4)))
+    assert [answer.status_code for answer in answers] == [200] * 4
+    assert steps == ["drawn", "encoded"] * 4
+
+
+async def test_large_arrays_are_sent_few_at_once(
+    engine: FakeEngine, app: FastAPI, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A client that takes nothing keeps its picture in memory: it is cut short if others wait."""
+    monkeypatch.setattr(service_module, "SENT_PIXELS", 100)
+    monkeypatch.setattr(service_module, "SENT_PICTURES", 1)
+    monkeypatch.setattr(frames_module, "SLOWEST_PART", 0.1)
+    service = Service(engine, Settings())  # type: ignore[arg-type]
+    frame = engine.picture(
+        view_of(engine.own_scenes[0], ViewParams(width=16, height=16), Settings()),
+        Stopwatch(),
+    )
+    (stalled, taken) = (InTurn(service, Viewer(name), frame, {}) for name in "ab")
+    begun = asyncio.Event()
+    sent: list[Any] = []
+
+    async def stall(message: Any) -> None:
+        begun.set()
+        await asyncio.Event().wait()
+
+    async def take(message: Any) -> None:
+        sent.append(message)
+
+    sending = asyncio.create_task(stalled.stream_response(stall))
+    await asyncio.wait_for(begun.wait(), 10)
+    await asyncio.sleep(0.3)
+    assert not sending.done()
+    await asyncio.wait_for(taken.stream_response(take), 10)
+    assert sum(len(each.get("body", b"")) for each in sent) == npy_bytes(frame)
+    await asyncio.wait_for(sending, 10)
+    service.threads.close()
+
+
+async def test_no_place_is_held_while_light_is_baked(
+    engine: FakeEngine, app: FastAPI, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Clients that listen to a large view wait for its light without a picture in memory."""
+    monkeypatch.setattr(service_module, "LARGE_PICTURE_PIXELS", 4)
+    engine.coming = frozenset({(0, 0, 1)})
+    service = app.state.service
+    async with watching(service, Viewer("a")) as refinements:
+        waiting = asyncio.ensure_future(anext(refinements))
+        await asyncio.sleep(0.1)
+        rank = Rank.within(0.0, 5.0)
+        place = await service.threads.enter(engine.views[0][0], rank)
+        assert not waiting.done()
+        place.leave()
+        waiting.cancel()
+        await asyncio.wait({waiting})
 
 
 async def leave(app: FastAPI, begun: threading.Event, wait_ms: int = 0) -> None:

@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import httpx
@@ -17,10 +18,11 @@ import pytest
 from PIL import Image
 
 from isogi_core.files.radiance import write_hdr
+from isogi_core.model.view import Camera, View
 from isogi_core.plan.assembly import load_scene
 from isogi_core.storage.atomic_file import write_whole
 from server.cli.command import VIEW_OPTIONS, WORK_OPTIONS, run
-from server.cli.render import rendered
+from server.cli.render import rendered, stopped_by
 from server.parameters import FrameParams
 from server.settings import Settings
 from tests.server.asking import Told
@@ -237,6 +239,19 @@ def test_a_provisional_picture_below_its_target_says_why(known: dict[str, Any], 
     facts = {"file": "a.png", "width": 9, "height": 9, "stopped": "time", "note": "", "final": 1.0}
     below = {"error": 0.018, "target_error": 0.02, "interval": (0.015, 0.019), "p99": 0.05}
     assert rendered({**facts, **below, **known}).startswith(f"a.png: 9 × 9, {said}")
+
+
+def test_a_picture_that_ended_without_a_deadline_does_not_name_the_time() -> None:
+    """The check of the picture has taken all steps that there are."""
+    camera = Camera((9.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    view = View(isovalue=0.5, camera=camera, width=1, height=1)
+    ended = SimpleNamespace(
+        final=False, view=view, provisional=False, quality=SimpleNamespace(given_up=True)
+    )
+    assert stopped_by(ended) == "paths"  # type: ignore[arg-type]
+    facts = {"file": "a.png", "width": 9, "height": 9, "stopped": "paths", "note": "", "final": 0.0}
+    below = {"error": 0.018, "target_error": 0.02, "interval": (0.015, 0.03), "p99": 0.05}
+    assert "after all paths that its pixels may take" in rendered({**facts, **below})
 
 
 def test_an_output_that_cannot_be_written_is_said_first(

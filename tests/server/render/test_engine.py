@@ -6,7 +6,7 @@ import subprocess
 import sys
 import threading
 import tracemalloc
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import replace
@@ -130,9 +130,9 @@ def test_asking_again_and_again_is_enough(begin: Begin) -> None:
 def test_workers_come_after_the_start(begin: Begin, monkeypatch: pytest.MonkeyPatch) -> None:
     come = threading.Event()
 
-    def start_pool(workers: int, scheduler: str | None, kinds: Collection[str]) -> InlinePool:
+    def start_pool(*given: Any) -> InlinePool:
         assert come.wait(LONG)
-        return InlinePool(workers)
+        return InlinePool(*given)
 
     monkeypatch.setattr(pool, "start_pool", start_pool)
     engine = begin()
@@ -152,8 +152,8 @@ def test_workers_of_this_machine_share_the_scene(begin: Begin, scene: Scene) -> 
 def test_workers_are_started_once(begin: Begin, monkeypatch: pytest.MonkeyPatch) -> None:
     started = []
 
-    def start_pool(workers: int, scheduler: str | None, kinds: Collection[str]) -> InlinePool:
-        started.append(InlinePool(workers))
+    def start_pool(*given: Any) -> InlinePool:
+        started.append(InlinePool(*given))
         return started[0]
 
     monkeypatch.setattr(pool, "start_pool", start_pool)
@@ -216,7 +216,7 @@ def test_a_scheduler_that_comes_later_is_joined_then(
 def test_anything_that_keeps_workers_from_coming_is_told(
     begin: Begin, monkeypatch: pytest.MonkeyPatch, error: Exception, told: str
 ) -> None:
-    def fail(workers: int, scheduler: str | None, kinds: Collection[str]) -> None:
+    def fail(*given: Any) -> None:
         raise error
 
     monkeypatch.setattr(pool, "start_pool", fail)

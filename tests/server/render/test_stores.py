@@ -6,6 +6,7 @@ import json
 import logging
 import os
 import pickle
+import random
 import shutil
 import subprocess
 import sys
@@ -129,6 +130,58 @@ def test_light_is_final_after_answers_were_damaged(
         assert final(client, OTHER) == pictures[1]
     with server(small_scene, s3.url, Copies(s3.url, 1 << 24, tmp_path)) as client:
         assert final(client, VIEW) == pictures[0], "also after a restart"
+
+
+DAMAGED_SECONDS = 60.0
+ONE_IN = 100
+"""One answer in ONE_IN is damaged for DAMAGED_SECONDS, and none after that."""
+
+RECOVERY_SECONDS = 10.0
+"""Seconds after the last damage within which pictures are final again."""
+
+
+@pytest.mark.slow
+def test_a_minute_of_damaged_answers_is_over_soon(
+    small_scene: Path, s3: S3Server, pictures: list[bytes], tmp_path: Path
+) -> None:
+    """Meanwhile servers start and draw known and new views; the last server goes on afterwards."""
+    chance = random.Random(7)
+    flipped: list[str] = []
+
+    def flip(call: Call) -> Fault | None:
+        if call.method != "GET" or chance.random() * ONE_IN >= 1.0:
+            return None
+        flipped.append(call.key)
+        return "flip"
+
+    with server(small_scene, s3.url) as client:
+        assert final(client, VIEW) == pictures[0]
+        assert final(client, OTHER) == pictures[1]
+    s3.fault = flip
+    until = time.monotonic() + DAMAGED_SECONDS
+    rounds = 0
+    while time.monotonic() < until or not flipped:
+        rounds += 1
+        assert rounds < 1000
+        with server(small_scene, s3.url, Copies(s3.url, 1 << 24, tmp_path)) as client:
+            new = {**VIEW, "isovalue": 0.3 + 0.001 * rounds}
+            for view in (VIEW, OTHER, new):
+                assert frame(client, view).status_code in (200, 503)
+            if time.monotonic() < until:
+                continue
+            s3.fault = lambda _: None
+            for view, picture in ((VIEW, pictures[0]), (OTHER, pictures[1])):
+                assert wait_for(
+                    lambda: final_now(client, view),  # noqa: B023 (called before the next view)
+                    RECOVERY_SECONDS,
+                )
+                assert frame(client, view).content == picture
+    assert flipped and not s3.fault(s3.calls[-1])
+
+
+def final_now(client: httpx.Client, view: dict[str, Any]) -> bool:
+    """Return True if a view is final within a second."""
+    return frame(client, view, wait=1.0).headers.get("isogi-provisional") == "?0"
 
 
 def test_a_store_that_is_away_is_not_empty_and_baking_waits(

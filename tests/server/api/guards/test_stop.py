@@ -115,6 +115,27 @@ def test_a_stop_during_the_start_is_one_line(
     assert "Traceback" not in error and "leaked" not in error
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_stop_before_the_socket_is_there_is_one_line(
+    small_scene: Path, tmp_path: Path, number: signal.Signals
+) -> None:
+    """The fork server starts first; modules, the scene and its volume are loaded after it."""
+    command = [sys.executable, "-m", "server", "serve", str(small_scene), "--port", "0"]
+    command += ["--workers", "1", "--store", str(tmp_path / "light"), "--uploads-mb", "0"]
+    with subprocess.Popen(
+        command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        family = psutil.Process(process.pid)
+        assert wait_for(family.children, 60)
+        children = family.children(recursive=True)
+        process.send_signal(number)
+        out, error = process.communicate(timeout=60)
+    assert (process.returncode, out, error) == (0, "", "isogi: stopped before it was ready\n")
+    gone = psutil.wait_procs(children, timeout=30)[0]
+    assert len(gone) == len(children), "no process outlives its server"
+
+
 def alive(port: int) -> bool:
     """Whether a server answers at a port."""
     try:
