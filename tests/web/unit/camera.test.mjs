@@ -128,7 +128,7 @@ test("a picture has the box's pixels, at most 1024 a side", () => {
   assert.deepEqual(pictureSize(600, 400, 3, 1), { width: 900, height: 600 }, "finer screens show no more");
   assert.deepEqual(pictureSize(600, 400, 3, 1, true), { width: 1800, height: 1200 }, "but of a picture that has its light");
   const { width, height } = pictureSize(8000, 4000, 2, 1, true);
-  assert.ok(width * height <= 4096 * 4096 && width > 5700 && Math.abs(width / height - 2) < 1e-3, "as a server takes");
+  assert.ok(width * height <= 2048 * 2048 && width > 2800 && Math.abs(width / height - 2) < 1e-3, "as a server takes");
   assert.deepEqual(pictureSize(2048, 1024, 1, 1), { width: 1024, height: 512 });
 });
 
