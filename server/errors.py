@@ -85,3 +85,7 @@ class FullError(IsogiError):
 
 class UploadFolderError(IsogiError):
     """The folder of uploads cannot be used."""
+
+
+class StalledError(IsogiError):
+    """A client takes nothing of an answer that others wait for."""

@@ -406,7 +406,9 @@ class Settings(BaseSettings):
 
     @property
     def answering(self) -> Self:
-        """These settings where a server answers: pictures of many clients are in memory there."""
+        """The settings with the limits of a server's answers: pictures of many clients are in memory
+        there.
+        """
         return self.model_copy(update={"max_pixels": self.max_pixels or ANSWER_PIXELS})
 
     def trusts(self, host: str) -> bool:

@@ -102,8 +102,8 @@ class ControlPixels:
         return float((self.weights * (self.halves[:, 0] - self.halves[:, 1]) ** 2).mean()) / 2.0
 
     def deepened(self, halves: np.ndarray) -> "ControlPixels":
-        """These controls by twice as many paths, of which the others brought the luminance
-        ``halves`` (k, 2).
+        """Controls of the same points by twice as many paths, of which those added brought the
+        luminance ``halves`` (k, 2).
         """
         return ControlPixels(self.places, self.weights, (self.halves + halves) / 2.0)
 
