@@ -87,3 +87,7 @@ class FullError(IsogiError):
 
 class UploadFolderError(IsogiError):
     """The folder of uploads cannot be used."""
+
+
+class StalledError(IsogiError):
+    """A client takes nothing of its answer while other answers wait."""

@@ -43,7 +43,7 @@ def test_twelve_of_the_costliest_requests_fit_into_memory() -> None:
 def test_no_generated_request_makes_the_server_fail(tmp_path: Path) -> None:
     assert program(), f"{PROGRAM} is a tool of development: make the environment again"
     with serving("demo:orbital", f"{tmp_path}/light", 1) as served:
-        counts, lacking = generated(served, tmp_path, 800)
+        counts, lacking = generated(served, tmp_path, 150)
         assert not lacking and counts[200] > 0
         assert max(counts) < 500, counts
         assert served.client.get("/livez").status_code == 200

@@ -28,6 +28,7 @@ from server.api.lifespan import within
 from server.api.routes.jobs import JobSchema, address, job_schema
 from server.api.service import BearerDep, PictureRequest, SceneDep, Service, ServiceDep, Shown
 from server.bearers import client_of
+from server.errors import StalledError
 from server.parameters import (
     FitParams,
     FitParamsDep,
@@ -185,10 +186,6 @@ class InTurn(StreamingResponse):
             await sending
         finally:
             sending.cancel()
-
-
-class StalledError(Exception):
-    """A client takes nothing of its answer while other answers wait."""
 
 
 @router.get(

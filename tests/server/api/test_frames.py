@@ -64,7 +64,7 @@ def test_a_frame_becomes_final_and_the_store_holds_its_chunks(
     assert needed == final > 0
     assert pairs(headers["isogi-coverage"]) == {"final": 1, "converging": 0, "provisional": 0}
     assert 0 < float(headers["isogi-error"].partition(";")[0]) <= 0.5
-    assert len(chunks(live_store)) >= final
+    assert wait_for(lambda: len(chunks(live_store)) >= final, 30), "light is written once it rests"
 
 
 def test_a_final_frame_writes_nothing_more_and_stays_the_same(

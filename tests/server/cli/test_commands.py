@@ -241,7 +241,7 @@ def test_a_provisional_picture_below_its_target_says_why(known: dict[str, Any], 
     assert rendered({**facts, **below, **known}).startswith(f"a.png: 9 × 9, {said}")
 
 
-def test_a_picture_that_ended_without_a_deadline_does_not_name_the_time() -> None:
+def test_what_ended_without_a_deadline_does_not_name_the_time() -> None:
     """The check of the picture has taken all steps that there are."""
     camera = Camera((9.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     view = View(isovalue=0.5, camera=camera, width=1, height=1)
