@@ -230,7 +230,7 @@ class Jobs:
         del self._tasks[job.id]
 
     def _forget(self) -> None:
-        """Forget jobs that ended long ago, and the oldest if too many have ended."""
+        """Forget jobs that ended long ago, and if too many have ended, those that began first."""
         over = [job for job in self._jobs.values() if job.expires is not None]
         surplus = len(over) - MOST_KEPT
         present = now()
