@@ -219,6 +219,8 @@ class Jobs:
 
     async def close(self) -> None:
         """Dismiss all jobs, and return when their work has ended."""
+        # Work that is cancelled from now on reads this flag: a prewarm then leaves its record in
+        # the store, so that the next server resumes it.
         self.closed = True
         for key in list(self._tasks):
             self._jobs[key].end(Status.DISMISSED, JOB_STOPPED)

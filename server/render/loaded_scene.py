@@ -412,7 +412,7 @@ def loaded(
         caches.chunk_store("gi"),
     )
     # A layer without light in the store gives way to a larger one (say, of a higher order) that has
-    # light there, as the smaller one can be read from it. Show the plan of the layers in use.
+    # light there, which need not be baked. The plan is to show the layers that are in use.
     planned = replace(
         scene, plan=complete(caches.spec("gi").plan, scene.inputs, scene.settings.overrides)
     )
