@@ -103,7 +103,7 @@ async def read_frame(
         watch = shown.watch
         if later and not frame.final:
             return None
-        # The tag follows from the light that was read: a picture that the client has is not encoded.
+        # The tag follows from the light alone: no picture is encoded that the client has already.
         tag = entity_tag(frame, form, exposure, params)
         headers = frame_headers(frame, shown.time_left, tag, params.version) | applied
         if matches(request.headers.get("if-none-match"), tag):
