@@ -258,6 +258,7 @@ class TokenBearers:
         """Return a redirect to the address without the token, with the cookie, so that the
         token leaves the browser's history.
         """
+        # The new address is relative, as a proxy may serve this page below another path.
         pairs = parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True)
         rest = urlencode([(name, value) for name, value in pairs if name != "token"])
         answer = RedirectResponse(
