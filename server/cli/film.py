@@ -133,16 +133,16 @@ def keyframes(request: FilmRequest) -> list[dict[str, str]]:
 
 def variant_of(target: str, views: Sequence[Mapping[str, str]]) -> str:
     """Return the ``target`` with the environment, cut, time, smoothing, hidden labels and material
-    that all views share.
+    that all views share, as the fragment of its address: ``a.nhdr#cut=…&time=3``.
 
-    Raises ParameterError if a view names surfaces.
+    Raises ParameterError if a view names surfaces, as a target cannot.
     """
     if any("surfaces" in view for view in views):
         raise ParameterError(
             "A film shows the scene's own surfaces: change its [[surfaces]].", "surfaces"
         )
-    # A change that all views share becomes part of the target; views that differ in one are refused
-    # later.
+    # A change that all views share becomes part of the target, so that the film has a single scene.
+    # Views that differ in one are refused by ``film_path``.
     for key in ("environment", "cut", "time", "smooth", "hide", "material"):
         named = {view.get(key, "") for view in views}
         if len(named) == 1 and named != {""}:
