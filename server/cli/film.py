@@ -135,7 +135,7 @@ def variant_of(target: str, views: Sequence[Mapping[str, str]]) -> str:
     """Return the ``target`` with the environment, cut, time, smoothing, hidden labels and material
     that all views share, as the fragment of its address: ``a.nhdr#cut=…&time=3``.
 
-    Raises ParameterError if a view names surfaces, as a target cannot.
+    Raises ParameterError if a view names surfaces: a film shows those of the scene.
     """
     if any("surfaces" in view for view in views):
         raise ParameterError(
