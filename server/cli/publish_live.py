@@ -281,7 +281,10 @@ def first_fitting(
 
 
 def too_large(best: PageVersion, smallest: PageVersion, most: float) -> str:
-    """Return a sentence about a page that exceeds ``most`` bytes, with the ways to make it fit."""
+    """Return a sentence about a page that exceeds ``most`` bytes, with the ways to make it fit.
+
+    Both numbers that it advises are a little larger than needed, as they are printed rounded.
+    """
     sentence = (
         f"The page takes {best.nbytes / 1e6:.2f} MB at an error of {best.error:.3f}, "
         "and may take less:"
