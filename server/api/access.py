@@ -36,7 +36,7 @@ class KnownHosts:
             await self.app(scope, receive, send)
             return
         # A page of another site that resolves its name to this address is refused here: it names
-        # its own host.
+        # the host of that site.
         detail = (
             "This host name is not served here: use a loopback name, or set ISOGI_ALLOWED_HOSTS."
         )
