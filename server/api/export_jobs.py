@@ -60,6 +60,7 @@ def begin(
     Raises BusyError, ViewError, SceneError if the scene does not fit the format, and ForbiddenError
     for a volume if the server does not hand out voxels.
     """
+    # The formats of WRITERS hold the whole lattice, the others only a mesh of the surface.
     if f".{params.f}" in WRITERS and not service.settings.hands_out_voxels:
         raise ForbiddenError(VOLUMES_WITHHELD)
     # Find errors now, so that the request is refused and no job fails later.

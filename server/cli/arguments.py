@@ -135,6 +135,7 @@ def options(table: dict[str, str]) -> Callable[[Command], Command]:
     """
 
     def decorate(command: Command) -> Command:
+        # The option that is added last comes first in the help.
         for name, text in reversed(table.items()):
             flag = f"--{name.replace('_', '-')}"
             command = click.option(flag, is_flag=name in SWITCH_OPTIONS, default=None, help=text)(
@@ -199,10 +200,13 @@ def volume_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def placed_target(target: str | None, placing: Mapping[str, str | None]) -> str | None:
-    """Append options about the volume to a command's target after a #; None if there is neither."""
+    """Append options about the volume to a command's target after a #: to that of a demo if no
+    target is given; None if there is neither target nor option.
+    """
     for key, value in placing.items():
         if value is not None:
             target = target or "demo:casting"
+            # A # in the name of a file that exists is a part of the name.
             chosen = "#" in target and not Path(target).exists()
             target = f"{target}{'&' if chosen else '#'}{key}={quote(value)}"
     return target

@@ -124,6 +124,7 @@ def serve(target: str | None, config: Path | None, **given: str | None) -> None:
     demo.
     """
     settings = settings_from(config, **given)
+    # Workers of this machine are forked from a process that takes a while to load: start it first.
     if not settings.scheduler:
         start_fork_server()
     module_of("serve").serve(target, settings)

@@ -207,7 +207,8 @@ def convert(target: str, output: Path) -> dict[str, Any]:
     if not name or name.startswith("demo:"):
         raise ParameterError(f"'{target}' is no volume of a file: give one.")
     grid, _ = open_own(settings)
-    # Refuse values that isogi could not show.
+    # Refuse values that isogi could not show. An image has no isovalue, so either side may be named
+    # as the solid one.
     check(grid, "above")
     with Progress("converting", "layer") as bar:
         lost = write_image(grid, output, bar.count)

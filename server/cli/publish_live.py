@@ -281,7 +281,10 @@ def first_fitting(
 
 
 def too_large(best: PageVersion, smallest: PageVersion, most: float) -> str:
-    """Return a sentence about a page that exceeds ``most`` bytes, with the ways to make it fit."""
+    """Return a sentence about a page that exceeds ``most`` bytes, with the ways to make it fit.
+
+    Both numbers that it advises are a little larger than needed, as they are printed rounded.
+    """
     sentence = (
         f"The page takes {best.nbytes / 1e6:.2f} MB at an error of {best.error:.3f}, "
         "and may take less:"
@@ -295,11 +298,11 @@ def too_large(best: PageVersion, smallest: PageVersion, most: float) -> str:
         return f"{sentence} {more}, ask for {at}, or for fewer isovalues."
     light = smallest.facts["light_bytes"]
     # Files besides the light do not shrink: if these are too large, no target helps.
-    beside = smallest.nbytes - light
-    if beside >= most:
-        return f"{sentence} {more}. Its volume and the page alone take {beside / 1e6:.2f} MB."
+    rest = smallest.nbytes - light
+    if rest >= most:
+        return f"{sentence} {more}. Its volume and the page alone take {rest / 1e6:.2f} MB."
     return (
-        f"{sentence} {more}, or ask for about {(most - beside) / light:.0%} of these "
+        f"{sentence} {more}, or ask for about {(most - rest) / light:.0%} of these "
         "isovalues and a larger error."
     )
 

@@ -118,7 +118,8 @@ def draw(
     form: str = "png",
     seconds: float | None = None,
 ) -> Drawn:
-    """Draw a view of the ``engine``'s ``scene``, named by ``knobs``, for a picture of a ``form``.
+    """Draw the view with the parameters ``knobs`` of the ``engine``'s ``scene``, for a picture of
+    the format ``form``.
 
     The camera shows the whole surface if no knob places it. Ends when every pixel is final, or
     after ``seconds`` of baking. Raises ParameterError, ViewError, StoreError and WorkersError.
@@ -129,7 +130,8 @@ def draw(
     view = view_of(scene, params, settings)
     frame = draw_refined(engine, scene.id, view, params.max_error, seconds)
     left = engine.time_left(scene.id, frame, params.max_error)
-    # Workers that are still starting when the time is over are no trouble.
+    # Report why light is not baked; workers that are still starting when the time is over are no
+    # such reason.
     trouble = ""
     if not (frame.final or engine.store.read_only):
         trouble = engine.trouble() or engine.baker.paused()

@@ -167,7 +167,9 @@ def coverage(shown: Shown) -> dict[str, Any]:
 async def progress(
     service: Service, picture: PictureRequest, shown: Shown, viewer: Viewer
 ) -> dict[str, Any]:
-    """Return the number of chunks that are still to be baked, and the time left."""
+    """Return the number of chunks that are still to be baked, and the time left. Asking for the
+    number renews the ``viewer``'s requests, which expire otherwise.
+    """
     engine = service.engine
     frame = shown.frame
     waiting = await asyncio.to_thread(engine.waiting, picture.scene, frame, viewer)
@@ -178,7 +180,8 @@ async def progress(
 
 def reason(service: Service, frame: Frame, viewer: Viewer) -> str:
     """Return the reason why a frame is not final though no more light is coming."""
-    # From the most specific reason to the general one.
+    # From the most specific reason to the general one. A frame in the shading PREVIEW, which a view
+    # with other shading asked for, stands in for light that does not fit the memory.
     if frame.quality.given_up:
         error = f"The total error is {frame.total.likely:.3g} after all paths that pixels may take"
         return f"{error}: ask for a larger max_error."
