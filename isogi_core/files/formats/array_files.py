@@ -14,6 +14,7 @@ from typing import IO, Any
 import numpy as np
 
 from isogi_core.errors import VolumeError
+from isogi_core.files.formats.kinds import PACKED_SUFFIXES, ZIP_MAGIC
 from isogi_core.files.formats.source import (
     LUMINANCE_NOTE,
     Source,
@@ -27,9 +28,6 @@ from isogi_core.files.formats.source import (
 )
 from isogi_core.files.grid import Grid, Shape, read_as
 from isogi_core.files.packed_files import read_end
-
-NPY_MAGIC = b"\x93NUMPY"
-ZIP_MAGIC = b"PK\x03\x04"
 
 
 @reader("NumPy", "part", "time", "channel")
@@ -132,7 +130,6 @@ def _values(slab: np.ndarray, coloured: bool) -> np.ndarray:
 
 
 RAW_SUFFIXES = (".raw", ".bin", ".dat", ".data", ".vol")
-PACKED_SUFFIXES = (".gz", ".bz2")
 
 _TYPES = {
     **{

@@ -33,8 +33,6 @@ from isogi_core.files.packing import (
     climate_packing,
 )
 
-HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
-
 EVEN_STEP_SHARE = 1e-3
 """Largest part of a step by which a coordinate may stray for its axis to be even."""
 

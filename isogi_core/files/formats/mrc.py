@@ -16,11 +16,6 @@ EXTENDED_SIZE_BYTE = 92
 """Bytes of a header, and the byte from which on it says how long the extended header is."""
 
 
-def is_mrc(head: bytes) -> bool:
-    """Whether a file begins as MRC does: by its stamp."""
-    return head[208:211] == b"MAP"
-
-
 @reader("MRC", "time")
 def open_mrc(source: Source) -> Grid:
     """Open a map as a grid: only the header is read now. Raises VolumeError."""

@@ -58,11 +58,6 @@ PLANE_COUNTS = {
 """What planes along an axis are that is no depth."""
 
 
-def is_tiff(head: bytes) -> bool:
-    """Whether a file begins as TIFF or BigTIFF does."""
-    return head[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-
-
 @reader("TIFF", "time", "channel", "series")
 def open_tiff(source: Source) -> Grid:
     """Open the first series of a TIFF file as a grid: only its description is read now. Raises
