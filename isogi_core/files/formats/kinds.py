@@ -143,6 +143,11 @@ def vtk_file(kind: bytes) -> Test:
     return xml_of(rb"VTKFile\b[^>]*\btype\s*=\s*[\"']" + kind + rb"[\"']")
 
 
+def brick(content: bytes) -> bool:
+    """Tell the header of a brick of values by two of its keys."""
+    return b"DATA_FILE:" in content and b"DATA_SIZE:" in content
+
+
 def legacy_vtk(*datasets: bytes) -> Test:
     """Make the test that content is a legacy file of VTK with one of these data sets."""
     named = re.compile(rb"\n\s*DATASET\s+(?:" + b"|".join(datasets) + rb")\b", re.IGNORECASE)
@@ -216,6 +221,18 @@ READ_KINDS: tuple[Kind, ...] = (
         reader="brain_files:open_afni",
     ),
     Kind(
+        "PAR/REC",
+        matching(rb"# === DATA DESCRIPTION FILE"),
+        (".par",),
+        reader="scanner_files:open_parrec",
+    ),
+    Kind(
+        "ECAT",
+        marked(b"MATRIX7"),
+        reader="scanner_files:open_ecat",
+        loads=("nibabel.ecat",),
+    ),
+    Kind(
         "DICOM",
         marked(b"DICM", at=128),
         (".dcm", ".ima"),
@@ -258,8 +275,11 @@ READ_KINDS: tuple[Kind, ...] = (
         "MetaImage",
         matching(rb"(?:ObjectType|NDims|Comment)\s*="),
         (".mha", ".mhd"),
-        reader="image_files:open_itk",
+        reader="side_headers:open_metaimage",
     ),
+    Kind("BOV", brick, (".bov",), reader="side_headers:open_bov"),
+    Kind("VGI", matching(rb"\{volume\d*\}"), (".vgi",), reader="side_headers:open_vgi"),
+    Kind("a .dat header", matching(rb"ObjectFileName\s*:"), reader="side_headers:open_dat"),
     Kind(
         "legacy VTK",
         legacy_vtk(b"STRUCTURED_POINTS"),

@@ -3,11 +3,20 @@ that is no volume seems to be.
 """
 
 import zlib
+from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any
 
 from isogi_core.errors import VolumeError, advice
-from isogi_core.files.formats import array_files, brain_files, dicom, nrrd, tiff
+from isogi_core.files.formats import (
+    array_files,
+    brain_files,
+    dicom,
+    nrrd,
+    scanner_files,
+    side_headers,
+    tiff,
+)
 from isogi_core.files.formats.kinds import (
     HEAD_BYTES,
     ZIP_MAGIC,
@@ -16,7 +25,7 @@ from isogi_core.files.formats.kinds import (
     libraries_for,
     reader_of,
 )
-from isogi_core.files.formats.other_kinds import guess_of, hint_of
+from isogi_core.files.formats.other_kinds import BARE_VOXELS_HINT, guess_of, hint_of, hint_of_folder
 from isogi_core.files.formats.source import FILE_CHOICES, Source
 from isogi_core.files.grid import Grid
 
@@ -67,7 +76,11 @@ def _open_by_head(source: Source) -> Grid:
         return kind.open()(source)
     if array_files.is_raw(source.name):
         return array_files.open_raw(source)
-    raise _unknown(source.name, head)
+    if header := side_headers.header_beside(source):
+        grid = _open_by_head(header)
+        note = f"'{Path(source.name).name}' is bare voxels: '{Path(header.name).name}' says what."
+        return replace(grid, notes=(*grid.notes, note))
+    raise _unknown(source, head)
 
 
 def _head(source: Source) -> Head:
@@ -85,23 +98,64 @@ def _head(source: Source) -> Head:
 def _header_of(path: Path) -> Path:
     """The header of a pair of files of which the voxels are named; any other path itself."""
     voxels = brain_files.PAIR_ENDINGS.search(path.name) is not None and ".img" in path.name.lower()
-    return (brain_files.beside(path, ".hdr") if voxels else brain_files.afni_header(path)) or path
+    if voxels:
+        header = brain_files.beside(path, ".hdr")
+    else:
+        header = brain_files.afni_header(path) or scanner_files.par_beside(path)
+    return header or path
 
 
-def _unknown(name: str, head: Head) -> VolumeError:
+def _unknown(source: Source, head: Head) -> VolumeError:
     """Say what is wrong with a file that is no volume, and what it seems to be if that is known."""
+    name = source.name
     if not head.stored:
         return VolumeError(f"'{name}' is empty: copy or write it again.")
     if guess := guess_of(head):
+        if guess == BARE_VOXELS_HINT and not head.is_packed and (fits := _cubes(source)):
+            guess = f"{guess}; {fits} would fit"
         return VolumeError(f"'{name}' seems to be {guess}.")
     return VolumeError(f"'{name}' is no volume that is known here: give {KNOWN_KINDS}.")
 
 
+def _cubes(source: Source) -> str:
+    """Name cubes of voxels that a file would hold without a header; empty if there are none."""
+    with source.open() as file:
+        return " or ".join(array_files.cubes_of(file.seek(0, 2)))
+
+
 def _open_folder(source: Source) -> Grid:
-    """Open a folder of slices: TIFF where it holds such, else DICOM."""
+    """Open a folder of slices: TIFF if it holds such, else DICOM. Raises VolumeError, which says
+    what else the folder seems to be.
+    """
     if tiff.slices_in(source):
         return tiff.open_tiff_folder(source)
-    return dicom.open_dicom(source)
+    if source.path is not None and (hint := hint_of_folder(source.path)):
+        raise VolumeError(f"'{source.name}' seems to be {hint}.")
+    if any(dicom.may_be_dicom(source.at(path)) for path in source.paths):
+        return dicom.open_dicom(source)
+    raise _no_slices(source)
+
+
+def _no_slices(source: Source) -> VolumeError:
+    """Say what a folder without slices holds, and which of its files are volumes."""
+    paths = [path for path in source.paths if not path.name.startswith(".")]
+    volumes = [path for path in paths[:MOST_LOOKED_AT] if _is_whole(source.at(path))]
+    if volumes:
+        return VolumeError(
+            f"'{source.name}' is a folder, and {_some(volumes)} in it would open: give one of "
+            "these."
+        )
+    held = f"{len(paths)} files ({_some(paths)})" if paths else "no files"
+    return VolumeError(
+        f"'{source.name}' is a folder that holds {held} and no slice of DICOM or TIFF: give the "
+        "folder with the slices, or a file."
+    )
+
+
+def _some(paths: list[Path]) -> str:
+    """Name the first of some files."""
+    more = " …" if len(paths) > 4 else ""
+    return ", ".join(path.name for path in paths[:4]) + more
 
 
 HEADER_SUFFIX = ".nhdr"
@@ -135,10 +189,9 @@ def open_archive(source: Source) -> Grid:
         raise VolumeError(f"'{source.name}' holds several volumes ({listed}): give one of them.")
     if tiff.slices_in(folder) or any(dicom.may_be_dicom(folder.at(path)) for path in paths):
         return _open_folder(folder)
-    listed = ", ".join(path.name for path in paths[:4])
     raise VolumeError(
-        f"'{source.name}' holds {len(paths)} files ({listed}{' …' if len(paths) > 4 else ''}) that "
-        f"are no one volume: give {SLICES_HINT}."
+        f"'{source.name}' holds {len(paths)} files ({_some(paths)}) that are no one volume: give "
+        f"{SLICES_HINT}."
     )
 
 

@@ -1,5 +1,7 @@
 """Kinds of files that isogi does not read, told by how they begin, with what a person can do."""
 
+from pathlib import Path
+
 from isogi_core.files.formats.kinds import (
     Head,
     Kind,
@@ -7,6 +9,7 @@ from isogi_core.files.formats.kinds import (
     marked,
     matching,
     vtk_file,
+    xml_of,
 )
 
 PICTURE_HINT = (
@@ -106,6 +109,12 @@ OTHER_KINDS: tuple[Kind, ...] = (
         both=True,
         hint=MICROSCOPE_HINT.format("Gatan DM3 or DM4"),
     ),
+    Kind(
+        "XDMF",
+        xml_of(b"Xdmf"),
+        hint="XDMF, which describes data in other files: give the HDF5 file that it names, with "
+        "the path inside, such as run.h5#rho, and set spacing",
+    ),
     Kind("VTK grid", vtk_file(b"P?(?:Structured|Unstructured)Grid"), hint=CELLS_HINT),
     Kind(
         "VTK AMR",
@@ -167,3 +176,41 @@ def guess_of(head: Head) -> str:
     if head.is_packed:
         return WRONG_SUFFIXES.get(head.suffix, BARE_VOXELS_HINT)
     return WRONG_SUFFIXES.get(head.suffix, "")
+
+
+TO_OME_ZARR = "write it as OME-Zarr"
+
+FOLDER_KINDS: tuple[tuple[tuple[str, ...], str], ...] = (
+    (
+        ("snapshots", "manifests"),
+        f"a repository of icechunk: {TO_OME_ZARR}, or open it by icechunk "
+        "and save the array by numpy.save",
+    ),
+    (("attributes.json",), f"N5: {TO_OME_ZARR}, by File > Save As > HDF5/N5/Zarr/OME-NGFF in Fiji"),
+    (
+        ("info",),
+        f"a precomputed volume of Neuroglancer: {TO_OME_ZARR}, or read a part of it by "
+        "cloud-volume and save that by numpy.save",
+    ),
+    (("__array_schema",), "an array of TileDB: save it by numpy.save"),
+    (("__schema",), "an array of TileDB: save it by numpy.save"),
+)
+"""Names of files and folders by which folders are told, and what they seem to be."""
+
+
+def hint_of_folder(folder: Path) -> str:
+    """Say what a folder seems to be by the names in it, and what to do; empty if these tell
+    nothing.
+    """
+    for names, hint in FOLDER_KINDS:
+        if all((folder / name).exists() for name in names):
+            return hint
+    pictures = [each for each in folder.iterdir() if each.suffix.lower() in PICTURE_SUFFIXES]
+    if len(pictures) > 1:
+        return (
+            f"slices as {pictures[0].suffix[1:].upper()}: save them as TIFF, in Fiji or by magick"
+        )
+    return ""
+
+
+PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".jp2")
