@@ -342,12 +342,12 @@ def labels_as_volume(document: Mapping[str, Any], name: str) -> Mapping[str, Any
 
 
 LYING = (
-    *("axes", "solid", "smooth", "pieces", "labels", "raw", "environment", "cut"),
+    *("axes", "spacing", "solid", "smooth", "pieces", "labels", "raw", "environment", "cut"),
     *CHANGING_PARAMETERS,
 )
-"""Settings that may follow the # of a target: how its volume lies, which side of the isovalue is
-solid, how far it is smoothed, whether its values are labels, its light, what is cut away, and what
-changes it as views do.
+"""Settings that may follow the # of a target: how its volume lies and how far its voxels are apart,
+which side of the isovalue is solid, how far it is smoothed, whether its values are labels, its
+light, what is cut away, and what changes it as views do.
 """
 
 NUMBERS_LYING = ("smooth", "pieces")
@@ -367,6 +367,9 @@ def split_settings(target: str) -> tuple[str, dict[str, Any]]:
     for key in (each for each in NUMBERS_LYING if each in told):
         with suppress(ValueError):  # a text stays, which the setting refuses
             told[key] = int(told[key]) if told[key].isdecimal() else float(told[key])
+    if "spacing" in told:
+        with suppress(ValueError):
+            told["spacing"] = [float(step) for step in told["spacing"].split(",")]
     rest = "&".join(each for each in part.split("&") if each.partition("=")[0] not in LYING)
     return f"{place}#{rest}" if rest else place, told
 

@@ -196,6 +196,7 @@ def test_the_stamp_tells_when_anything_was_written(tmp_path: Path) -> None:
 
 def bad_group(path: Path) -> None:
     save(path / "inner", FIELD)
+    save(path / "other", FIELD)
     zarr.open_group(path, mode="a")
 
 
@@ -244,7 +245,7 @@ def huge(path: Path) -> None:
     [
         (lambda path: None, "There is no Zarr array"),
         (lambda path: path.mkdir(), "holds no Zarr array"),
-        (bad_group, r"is a Zarr group and no image: it holds 'v.zarr/inner'"),
+        (bad_group, r"is a Zarr group and no image: it holds 'v.zarr/inner', 'v.zarr/other'"),
         (bad_link, "is a link out of the volume's folder"),
         (bad_chunk, "are damaged"),
         (bad_codec, "cannot be read as Zarr .*nobodys"),

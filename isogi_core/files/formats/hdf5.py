@@ -5,6 +5,7 @@ One dataset, or variable, is chosen by its path in the file.
 """
 
 import math
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -18,7 +19,14 @@ import numpy as np
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.coordinates import Along, along, place_by, role_of, roles_of
-from isogi_core.files.formats.hdf5_dialects import CHOICES, DESCRIPTIONS, LEVELLED, Said
+from isogi_core.files.formats.hdf5_dialects import (
+    CHOICES,
+    DESCRIPTIONS,
+    LEVELLED,
+    MOST_XML_BYTES,
+    Said,
+)
+from isogi_core.files.formats.side_headers import data_of
 from isogi_core.files.formats.source import (
     LAYERED,
     TIME_STEPS,
@@ -82,6 +90,23 @@ def open_hdf5(source: Source) -> Grid:
         first,
         read_as=packing.read_as("HDF5", said.placed),
     )
+
+
+BDV_HDF5 = re.compile(r"<hdf5\b[^>]*>([^<]+)</hdf5>")
+
+
+@reader("BigDataViewer's XML", "part", "time", "channel", "level")
+def open_bdv(source: Source) -> Grid:
+    """Open the HDF5 file that an XML file of BigDataViewer names. Raises VolumeError."""
+    with source.open() as file:
+        text = file.read(MOST_XML_BYTES).decode("utf-8", "replace")
+    named = BDV_HDF5.search(text)
+    if named is None:
+        raise VolumeError(
+            f"'{source.name}' is BigDataViewer's XML of data that is not HDF5: give the Zarr or "
+            "the images that it names."
+        )
+    return open_hdf5(replace(data_of(source, named[1].strip()), chosen=source.chosen))
 
 
 def _said(source: Source, data: Any) -> Said:

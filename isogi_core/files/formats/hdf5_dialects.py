@@ -306,14 +306,24 @@ def describe_bdv(source: Source, data: Any) -> Said | None:
     return replace(said, place=place, placed="BigDataViewer's XML")
 
 
+MOST_XML_BYTES = 1 << 24
+"""Bytes of an XML file that are read, at most."""
+
+
 def _bdv_voxel(path: Path | None, setup: int) -> tuple[np.ndarray | None, str]:
-    """Read the size of a voxel and its unit in the XML file next to BigDataViewer's HDF5; None if
-    it is not there.
+    """Read the size of a voxel and its unit in the XML file next to BigDataViewer's HDF5 that names
+    it; None if there is none.
     """
-    beside = None if path is None else path.with_suffix(".xml")
-    if beside is None or not beside.is_file():
+    if path is None:
         return None, ""
-    return voxel_of_xml(beside.read_text("utf-8", "replace"), setup)
+    others = sorted(each for each in path.parent.glob("*.xml") if each.stem != path.stem)
+    for beside in (path.with_suffix(".xml"), *others[:64]):
+        if not beside.is_file():
+            continue
+        text = beside.read_bytes()[:MOST_XML_BYTES].decode("utf-8", "replace")
+        if path.name in text:
+            return voxel_of_xml(text, setup)
+    return None, ""
 
 
 SETUP = re.compile(r"<ViewSetup>(.*?)</ViewSetup>", re.DOTALL)

@@ -262,6 +262,12 @@ READ_KINDS: tuple[Kind, ...] = (
     ),
     Kind("HDF5", is_hdf5, reader="hdf5:open_hdf5", loads=HDF5_MODULES),
     Kind(
+        "BigDataViewer's XML",
+        xml_of(b"SpimData"),
+        reader="hdf5:open_bdv",
+        loads=HDF5_MODULES,
+    ),
+    Kind(
         "NetCDF",
         marked(b"CDF"),
         reader="hdf5:open_netcdf",
