@@ -175,6 +175,7 @@ DICOM_MODULES = (
     "pydicom.pixels",
     *(f"pydicom.pixels.decoders.{name}" for name in DICOM_DECODERS),
     "openjpeg",
+    "nibabel.nicom.csareader",
     *(f"PIL.{name}ImagePlugin" for name in PILLOW_FORMATS),
 )
 """What DICOM's packed pixels are unpacked by, if it is installed."""

@@ -129,7 +129,8 @@ def _open_folder(source: Source) -> Grid:
     """
     if tiff.slices_in(source):
         return tiff.open_tiff_folder(source)
-    if source.path is not None and (hint := hint_of_folder(source.path)):
+    folder = source.path if source.archive is None else None
+    if folder is not None and (hint := hint_of_folder(folder)):
         raise VolumeError(f"'{source.name}' seems to be {hint}.")
     if any(dicom.may_be_dicom(source.at(path)) for path in source.paths):
         return dicom.open_dicom(source)
