@@ -507,10 +507,10 @@ def _only_field(
     """Find the array that a group without an image means: the only one of three dimensions or more,
     else the only one whose axes are x, y and z; None if there is no such one.
     """
-    fields = [
+    members = [
         _open(path, among, f"{inside}/{name}".strip("/")) for name in _members(group, MOST_FIELDS)
     ]
-    fields = [each for each in fields if isinstance(each, zarr.Array) and each.ndim >= 3]
+    fields = [each for each in members if isinstance(each, zarr.Array) and each.ndim >= 3]
     if len(fields) > 1:
         fields = [each for each in fields if is_in_space(each, partial(_open, path, among))]
     if len(fields) != 1:

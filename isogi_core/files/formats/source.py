@@ -418,16 +418,18 @@ def pick_roles(
     if not roles:
         ahead, moment, first = pick_axes(source, shape)
         n = len(shape)
-        key = (*ahead, slice(None), slice(None), slice(None))
-        return Picked(key, (n - 3, n - 2, n - 1), shape[-3:]), moment, first
+        whole = (*ahead, slice(None), slice(None), slice(None))
+        return Picked(whole, (n - 3, n - 2, n - 1), shape[-3:]), moment, first
     key: list[Any] = [slice(None)] * len(shape)
-    moment, first = SINGLE_MOMENT, False
+    moment = SINGLE_MOMENT
+    first = False
     for place, (role, length) in enumerate(zip(roles, shape, strict=True)):
         if role in ("x", "y", "z"):
             continue
         if role == "t":
-            key[place], first = pick_step(source, length)
-            moment = (key[place], length) if length > 1 else moment
+            step, first = pick_step(source, length)
+            key[place] = step
+            moment = (step, length) if length > 1 else moment
         else:
             key[place] = pick(source, "channel", length, "channels")
     z, y, x = (list(roles).index(name) for name in "zyx")
