@@ -189,8 +189,10 @@ def files_of_pydicom() -> Path:
 
 @pytest.mark.filterwarnings("ignore")
 def test_all_files_of_pydicom_are_volumes_or_refused() -> None:
-    told = "is one slice|holds no DICOM image|list of a DICOM disk|cannot be read as DICOM"
+    told = (
+        "is one slice|holds no DICOM image|list of a DICOM disk|cannot be read as DICOM"
         "|that is known here"
+    )
     read = {}
     for path in (
         path
