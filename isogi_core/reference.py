@@ -234,7 +234,7 @@ def load_reference(path: Path, scene: Scene, view: View) -> Reference:
         ) from None
     if kept["subject"] != subject_of(scene, view):
         described = (
-            "{scene} at {isovalue:g}, {width} × {height} pixels, {bounces} bounces, "
+            "{scene} at {shortest(isovalue)}, {width} × {height} pixels, {bounces} bounces, "
             "{normals} normals, {offset:g} off"
         )
         own = described.format(**about, **about["view"])

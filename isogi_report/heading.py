@@ -8,6 +8,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from isogi_core.files.spelling import shortest
 from isogi_core.model.view import Camera, View
 from isogi_core.plan.scene import Scene
 from server.answers import scene_schema
@@ -31,7 +32,7 @@ OMITTED_SETTINGS = {"histogram", "ranges", "presets", "stops", "stops_note", "sh
 def heading(scene: Scene, view: View) -> dict[str, Any]:
     """The head as a document."""
     return {
-        "title": f"{scene.name} at {view.isovalue:g}",
+        "title": f"{scene.name} at {scene.volume.spell(view.isovalue)}",
         "scene": scene_schema(scene).model_dump(mode="json", exclude=OMITTED_SETTINGS),
         "view": view_facts(view),
         "machine": machine(),
@@ -107,7 +108,7 @@ def inspected_facts(facts: SceneSchema, *names: str) -> Rows:
 def view_rows(view: View) -> Rows:
     """Name and text of each fact of a view."""
     return (
-        ("isovalue", f"{view.isovalue:.10g}"),
+        ("isovalue", f"{shortest(view.isovalue)}"),
         (
             "picture",
             (

@@ -18,7 +18,7 @@ from isogi_core.files.vector import Vector, triple
 EVEN_STEP_SHARE = 1e-3
 """Largest part of a step by which a coordinate may stray for its axis to be even."""
 
-SPACING_KEY = "spacing = [x, y, z] in the scene, or #spacing=1,1,2 after the file's name, sets it"
+SPACING_KEY = "#spacing=1,1,2, or spacing in the scene, sets it"
 """The way to say how far voxels lie apart."""
 
 NAMES = {

@@ -16,6 +16,7 @@ from urllib.parse import unquote
 
 from isogi_core.errors import SceneError, advice, readable
 from isogi_core.files.packed_files import in_short, read_small, reason_of
+from isogi_core.files.spelling import shortest
 from isogi_core.files.vector import Vector, triple
 
 CHANGING_PARAMETERS = ("surfaces", "hide", "material")
@@ -479,7 +480,7 @@ class Settings:
 
     def number(self, key: str, fallback: float, low: float, high: float) -> float:
         """A number in [low, high]."""
-        wanted = f"a number from {low:g} to {high:g}"
+        wanted = f"a number from {shortest(low)} to {shortest(high)}"
         value = self._read(key, lambda value: is_number(value) and low <= value <= high, wanted)
         return float(fallback if value is None else value)
 
@@ -538,7 +539,8 @@ class Settings:
         if not within[0] <= value[0] <= value[1] <= within[1]:
             raise self._wrong(
                 key,
-                f"two ascending numbers from {within[0]:g} to {within[1]:g}, the volume's range",
+                f"two ascending numbers from {shortest(within[0])} to {shortest(within[1])}, the "
+                "volume's range",
             )
         return value[0], value[1]
 
@@ -546,7 +548,9 @@ class Settings:
         """Two numbers in [low, high], the second above the first, or None."""
         value = self.numbers(key, 2)
         if value is not None and not low <= value[0] < value[1] <= high:
-            raise self._wrong(key, f"two ascending numbers from {low:g} to {high:g}")
+            raise self._wrong(
+                key, f"two ascending numbers from {shortest(low)} to {shortest(high)}"
+            )
         if value is None:
             return None
         return (value[0], value[1])

@@ -145,7 +145,7 @@ FIRST_STEP_NOTE = (
 )
 
 
-CUBES_NOTE = f"The file does not say how large voxels are: they are cubes; {SPACING_KEY}."
+CUBES_NOTE = f"Voxels are taken as cubes: {SPACING_KEY}."
 """The note on volumes whose spacing is assumed."""
 
 

@@ -48,7 +48,7 @@ def test_levels_that_are_uneven_are_cubes(tmp_path: Path) -> None:
     )
     grid = open_file(tmp_path / "f.nc", {})
     assert tuple(grid.spacing) == (1.0, 1.0, 1.0)
-    assert "taken as cubes, as the coordinates of its axes are uneven: spacing = " in grid.notes[0]
+    assert "taken as cubes, as the coordinates of its axes are uneven: #spacing=" in grid.notes[0]
 
 
 @pytest.mark.parametrize("step", [0, 2])
