@@ -55,6 +55,22 @@ export function showNumber(value, step) {
 }
 
 /**
+ * A value with the digits that tell it from its neighbours in a range, as the server's single
+ * floats do: typed back, it is the same surface.
+ * @param {number} value
+ * @param {readonly [number, number]|number[]} range least and greatest value
+ * @returns {number}
+ */
+export function exactValue(value, [low, high]) {
+  const most = Math.max(Math.abs(low), Math.abs(high));
+  const digits = Math.ceil(Math.log10(most / (high - low))) + FLOAT_DIGITS;
+  return Number(value.toPrecision(Number.isFinite(digits) ? Math.min(17, digits) : 17));
+}
+
+/** Digits of a single float. */
+const FLOAT_DIGITS = 9;
+
+/**
  * A share of the whole, rounded down, so that 100 % means all of it.
  * @param {number} share within 0..1
  * @returns {string}
