@@ -279,6 +279,20 @@ READ_KINDS: tuple[Kind, ...] = (
         "VTI", vtk_file(b"ImageData"), (".vti",), reader="image_files:open_vti", loads=VTK_MODULES
     ),
     Kind(
+        "PVTI",
+        vtk_file(b"PImageData"),
+        (".pvti",),
+        reader="image_files:open_pvti",
+        loads=VTK_MODULES,
+    ),
+    Kind(
+        "VTR",
+        vtk_file(b"RectilinearGrid"),
+        (".vtr",),
+        reader="image_files:open_vtr",
+        loads=VTK_MODULES,
+    ),
+    Kind(
         "MetaImage",
         matching(rb"(?:ObjectType|NDims|Comment)\s*="),
         (".mha", ".mhd"),

@@ -128,6 +128,16 @@ OTHER_KINDS: tuple[Kind, ...] = (
         hint="a list of other files of VTK: give one that it names",
     ),
     Kind("VTK mesh", legacy_vtk(b"POLYDATA"), hint=MESH_HINT),
+    Kind(
+        "VTK grid",
+        legacy_vtk(b"RECTILINEAR_GRID"),
+        hint="a rectilinear grid in VTK's legacy form: open it in ParaView, and save it as .vtr",
+    ),
+    Kind(
+        "PVTR",
+        vtk_file(b"PRectilinearGrid"),
+        hint="pieces of a rectilinear grid of VTK: open it in ParaView, and save it as one .vtr",
+    ),
     Kind("VTK grid", legacy_vtk(b"STRUCTURED_GRID", b"UNSTRUCTURED_GRID"), hint=CELLS_HINT),
     Kind("gzip in Zstandard", marked(b"\x28\xb5\x2f\xfd"), hint=UNPACK_HINT.format("Zstandard")),
     Kind("xz", marked(b"\xfd7zXZ\0"), hint=UNPACK_HINT.format("xz")),
