@@ -274,6 +274,14 @@ READ_KINDS: tuple[Kind, ...] = (
         reader="hdf5:open_netcdf",
         loads=("nibabel.externals.netcdf",),
     ),
+    Kind(
+        "FITS",
+        matching(rb"SIMPLE  =\s+T"),
+        (".fits", ".fit", ".fts"),
+        reader="fits:open_fits",
+        unpacks=True,
+        loads=("astropy.io.fits",),
+    ),
     Kind("NumPy", marked(b"\x93NUMPY"), reader="array_files:open_numpy"),
     Kind(
         "VTI", vtk_file(b"ImageData"), (".vti",), reader="image_files:open_vti", loads=VTK_MODULES

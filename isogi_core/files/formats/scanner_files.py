@@ -41,19 +41,20 @@ def open_parrec(source: Source) -> Grid:
             f"'{source.name}' is a header, and '{source.path.stem}.REC' with its voxels is not "
             "next to it: put it there."
         )
-    image = _parrec(source.path, voxels)
-    nx, ny, nz, *more = (int(n) for n in image.shape)
+    header = _par_header(source.path)
+    affine = header.get_affine()
+    nx, ny, nz, *more = (int(n) for n in header.get_data_shape())
     fields = more[0] if more else 1
     source.check((nz, ny, nx))
     step, unchosen = pick_step(source, fields)
-    known = f"PAR/REC of {image.header.get_data_dtype().name}, scaled to displayed values"
+    known = f"PAR/REC of {header.get_data_dtype().name}, scaled to displayed values"
     return Grid(
         (nz, ny, nx),
         np.dtype(np.float32),
-        _steps(image.affine),
+        _steps(affine),
         partial(_parrec_slabs, source.path, voxels, step if more else None),
         partial(source.stamp, voxels),
-        Affine.of(image.affine, PATIENT_AXES),
+        Affine.of(affine, PATIENT_AXES),
         "mm",
         moment=(step, fields) if fields > 1 else SINGLE_MOMENT,
         unchosen=unchosen,
@@ -67,19 +68,21 @@ def _rec_beside(path: Path) -> Path | None:
     return next((each for each in names if each.is_file()), None)
 
 
-def _parrec(path: Path, voxels: Path) -> Any:
-    """Load a pair as an image of nibabel, whose voxels are not read yet. Scans that were stopped
-    have fewer volumes than their header says.
-    """
-    kind = library("nibabel.parrec", "PAR/REC").PARRECImage
-    holders = kind.make_file_map({"header": str(path), "image": str(voxels)})
-    return kind.from_file_map(holders, permit_truncated=True, strict_sort=True)
+def _par_header(path: Path) -> Any:
+    """Read the header of a pair. Scans that were stopped have fewer volumes than it says."""
+    kind = library("nibabel.parrec", "PAR/REC").PARRECHeader
+    with path.open(encoding="latin-1") as file:
+        return kind.from_fileobj(file, permit_truncated=True, strict_sort=True)
 
 
 def _parrec_slabs(path: Path, voxels: Path, step: int | None) -> Iterator[np.ndarray]:
-    image = _parrec(path, voxels)
-    field = image.dataobj[..., step] if step is not None else image.dataobj[...]
-    yield _as_layers(field, image.shape[2::-1])
+    """Read the field of a step at once, scaled to displayed values."""
+    header = _par_header(path)
+    proxy = library("nibabel.parrec", "PAR/REC").PARRECArrayProxy
+    with voxels.open("rb") as file:
+        values = proxy(file, header, mmap=False, scaling="dv")
+        field = values[..., step] if step is not None else values[...]
+    yield _as_layers(field, header.get_data_shape()[2::-1])
 
 
 def _as_layers(field: Any, shape: Shape) -> np.ndarray:
