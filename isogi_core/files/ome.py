@@ -238,9 +238,8 @@ def array_axes(resolution: Resolution) -> tuple[Axis, ...]:
 
 def placed_in_space(resolution: Resolution) -> tuple[np.ndarray, str, str]:
     """From indices along x, y, z to the world's x, y, z in the unit of x, (3, 4), the sign of that
-    unit, and the letters of a patient's world, where all axes say how they lie in one.
-
-    Raises VolumeError where units cannot be compared.
+    unit, and the letters of a patient's world, where all axes say how they lie in one. Units that
+    cannot be compared are taken as one: see ``odd_units``.
     """
     matrix, unit = _in_one_unit(resolution)
     towards = [axis.towards for name in SPACE_AXES for axis in resolution.axes if axis.name == name]
@@ -251,6 +250,14 @@ def placed_in_space(resolution: Resolution) -> tuple[np.ndarray, str, str]:
     for row, (place, sign) in zip(matrix, places, strict=True):
         patient[place] = sign * row
     return patient, unit, PATIENT_AXES
+
+
+def odd_units(resolution: Resolution) -> str:
+    """List the units of axes in space if they differ and cannot be compared; else empty."""
+    units = [axis.unit for name in SPACE_AXES for axis in resolution.axes if axis.name == name]
+    if len(set(units)) < 2 or set(units) <= set(METRES_OF_NAMES):
+        return ""
+    return ", ".join(unit or "no unit" for unit in units)
 
 
 def _in_one_unit(resolution: Resolution) -> tuple[np.ndarray, str]:
@@ -264,12 +271,8 @@ def _in_one_unit(resolution: Resolution) -> tuple[np.ndarray, str]:
     matrix = matrix[:, [*(columns.index(name) for name in SPACE_AXES), -1]]
     if len(set(units)) == 1:
         return matrix, UNIT_SIGNS.get(units[0], units[0])
-    unknown = next((each for each in units if each not in METRES_OF_NAMES), None)
-    if unknown is not None:
-        raise VolumeError(
-            f"The axes have different units, and '{unknown}' is no known one: set spacing in "
-            "the scene."
-        )
+    if odd_units(resolution):
+        return matrix, UNIT_SIGNS.get(units[0], units[0])
     lengths = np.array([METRES_OF_NAMES[each] / METRES_OF_NAMES[units[0]] for each in units])
     return matrix * lengths[:, None], UNIT_SIGNS.get(units[0], units[0])
 

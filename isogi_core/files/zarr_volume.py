@@ -18,7 +18,7 @@ from zarr.abc.store import Store
 from zarr.storage import LocalStore, ObjectStore
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.coordinates import Along, Place, place_by
+from isogi_core.files.coordinates import SPACING_KEY, Along, Place, place_by
 from isogi_core.files.grid import (
     MAX_VOXELS,
     SINGLE_MOMENT,
@@ -37,6 +37,7 @@ from isogi_core.files.ome import (
     array_axes,
     first_image,
     labels_of,
+    odd_units,
     placed_in_space,
     resolutions_of,
 )
@@ -360,7 +361,9 @@ def _placed(found: FoundArray) -> Place:
     alone = np.column_stack([np.diag([x, y, z]), np.zeros(3)])
     lies = bool(letters) or not np.array_equal(matrix, alone)
     affine = Affine.of(matrix, letters) if lies and np.isfinite(matrix).all() else None
-    return Place((x, y, z), affine, unit, said=True)
+    odd = odd_units(found.given)
+    notes = (f"Its axes are in {odd}, taken as one unit: {SPACING_KEY}.",) if odd else ()
+    return Place((x, y, z), affine, unit, notes, said=True)
 
 
 def _stamp(among: Hierarchy, part: list[Any]) -> str:
