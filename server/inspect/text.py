@@ -3,9 +3,8 @@
 import importlib.util
 import math
 import textwrap
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -117,15 +116,15 @@ def span_of(volume: VolumeSchema) -> str:
     return f"{low} to {high}"
 
 
-SHORT_FLOATS: dict[str, Callable[[float], Any]] = {"float16": np.float16, "float32": np.float32}
+SHORT_FLOATS = ("float16", "float32")
 """Types with fewer digits than Python's floats."""
 
 
 def in_type(value: float, dtype: str) -> str:
     """A value with the fewest digits that give it again in a type."""
-    kind = SHORT_FLOATS.get(dtype)
-    if kind is None or abs(value) > float(np.finfo(kind).max):
+    if dtype not in SHORT_FLOATS or abs(value) > float(np.finfo(dtype).max):
         return shortest(value)
+    kind = np.dtype(dtype).type
     return shortest(value, lambda other: bool(kind(other) == kind(value)))
 
 

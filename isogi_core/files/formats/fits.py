@@ -29,8 +29,8 @@ def open_fits(source: Source) -> Grid:
         ahead, moment, _ = pick_axes(source, tuple(int(image.shape[n]) for n in long))
         inner = long[-3:]
         key = [0 if n not in inner else slice(None) for n in range(len(image.shape))]
-        for place, element in zip(outer, ahead, strict=True):
-            key[place] = element
+        for axis, element in zip(outer, ahead, strict=True):
+            key[axis] = element
         shape = tuple(int(image.shape[n]) for n in inner)
         source.check(shape)
         first = list(key)
