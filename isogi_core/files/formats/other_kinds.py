@@ -83,15 +83,7 @@ OTHER_KINDS: tuple[Kind, ...] = (
         marked(b"\xc3\x40\xf1", b"\xc3\x40\x40\xf1", b"C 1 ", b"C01 "),
         hint="SEG-Y of seismic surveys: save its cube by numpy.save(OUT, segyio.tools.cube(IN))",
     ),
-    Kind("Scanco ISQ", marked(b"CTDATA-HEADER_V1"), hint=SCANNER_HINT.format("Scanco ISQ")),
     Kind("Scanco AIM", marked(b"AIMDATA_V0"), hint=SCANNER_HINT.format("Scanco AIM")),
-    Kind("VFF", marked(b"ncaa"), hint=SCANNER_HINT.format("VFF")),
-    Kind(
-        "AmiraMesh",
-        matching(rb"# (?:AmiraMesh|Avizo|HyperSurface)"),
-        hint="AmiraMesh: save it as NRRD or TIFF in Amira or Avizo, or open it in Fiji and save "
-        "it as TIFF or NRRD",
-    ),
     Kind(
         "SLC",
         matching(rb"11111\s+\d+\s+\d+\s+\d+\s"),

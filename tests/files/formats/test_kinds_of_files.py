@@ -39,10 +39,9 @@ NAMED = [
     ("a.grb2", b"GRIB\0\0\0\2", "GRIB", "cdo -f nc4 copy"),
     ("a.hdf", b"\x0e\x03\x13\x01", "HDF4", "h4toh5"),
     ("a.mat", b"MATLAB 5.0 MAT-file, Platform", "MAT-file", "-v7.3"),
-    ("a.isq", b"CTDATA-HEADER_V1", "Scanco ISQ", "Fiji"),
-    ("a.vff", b"ncaa\nrank=3;\n", "VFF", "Fiji"),
-    ("a.am", b"# AmiraMesh BINARY-LITTLE-ENDIAN 2.1\n", "AmiraMesh", "NRRD or TIFF"),
     ("a.am", b"# Avizo BINARY-LITTLE-ENDIAN 2.1\n", "AmiraMesh", "NRRD or TIFF"),
+    ("a.am", b"# AmiraMesh 3D ASCII 2.0\n", "AmiraMesh", "NRRD or TIFF"),
+    ("a.aim", b"AIMDATA_V030   ", "Scanco AIM", "Fiji"),
     ("a.slc", b"11111\n64 64 64 8\n", "SLC", "vtkSLCReader"),
     ("a.czi", b"ZISRAWFILE\0\0", "CZI", "bfconvert"),
     ("a.nd2", b"\xda\xce\xbe\x0a", "ND2", "bfconvert"),
@@ -158,6 +157,45 @@ def test_metaimage_lies_as_itk_says(tmp_path: Path, msb: bool) -> None:
     image = sitk.ReadImage(str(tmp_path / "f.mha"))
     turn = np.array(image.GetDirection()).reshape(3, 3) * np.array(image.GetSpacing())
     np.testing.assert_allclose(grid.affine.array[:, :3], np.diag([-1, -1, 1]) @ turn)
+
+
+def isq() -> bytes:
+    """A scan of Scanco's, with a block between header and voxels."""
+    head = bytearray(1024)
+    head[:16] = b"CTDATA-HEADER_V1"
+    micrometres = (1000 * NX, 1250 * NY, 1500 * NZ)
+    head[44:68] = np.array([NX, NY, NZ, *micrometres], "<i4").tobytes()
+    head[88:92] = np.array([4096], "<i4").tobytes()
+    head[508:512] = np.array([1], "<i4").tobytes()
+    return bytes(head) + F.astype("<i2").tobytes()
+
+
+def vff() -> bytes:
+    """A scan of GE's."""
+    head = f"ncaa\nrank=3;\nbits=16;\nbands=1;\nsize={SIZES};\nspacing=1 1.25 1.5;\n\x0c\n"
+    return head.encode() + F.astype(">i2").tobytes()
+
+
+def amira() -> bytes:
+    """A lattice of Amira."""
+    box = f"0 {NX - 1} 0 {1.25 * (NY - 1)} 0 {1.5 * (NZ - 1)}"
+    head = (
+        f"# AmiraMesh BINARY-LITTLE-ENDIAN 2.1\n\ndefine Lattice {SIZES}\n\nParameters {{\n"
+        f' BoundingBox {box},\n CoordType "uniform"\n}}\n\nLattice {{ short Data }} @1\n\n'
+        "# Data section follows\n@1\n"
+    )
+    return head.encode() + F.astype("<i2").tobytes() + b"\n"
+
+
+@pytest.mark.parametrize("write", [isq, vff, amira])
+def test_voxels_after_a_header(tmp_path: Path, write: Any) -> None:
+    content = write()
+    (tmp_path / "f.bin").write_bytes(content)
+    check(open_file(tmp_path / "f.bin", {}))
+    check(open_upload(io.BytesIO(content), "f.bin", 1 << 20))
+    (tmp_path / "f.bin").write_bytes(content[: len(content) // 2])
+    with pytest.raises(VolumeError, match="ends before its last voxel"):
+        open_file(tmp_path / "f.bin", {}).whole()
 
 
 def test_a_header_of_several_is_to_be_chosen(tmp_path: Path) -> None:
