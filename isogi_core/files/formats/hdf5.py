@@ -134,7 +134,7 @@ def _said(source: Source, data: Any) -> Said:
 
 
 def _scale(data: Any, axis: int) -> Any:
-    """The numbers along an axis of a dataset; None if the file gives none."""
+    """Find the numbers along an axis of a dataset; None if the file gives none."""
     for scale in data.dims[axis].values():
         if scale.shape == (data.shape[axis],) and scale.dtype.kind in "iuf":
             return scale
@@ -155,8 +155,8 @@ AXIS_ATTRIBUTES = ("units", "axis", "positive", "standard_name")
 
 
 def _read(scale: Any) -> dict[str, Any]:
-    """Those of an axis's attributes that say what it is; others may be of types that h5py cannot
-    read.
+    """Read the attributes of an axis that say what it is; others may be of types that h5py does
+    not know.
     """
     return {name: scale.attrs[name] for name in AXIS_ATTRIBUTES if name in scale.attrs}
 
@@ -298,8 +298,8 @@ def unchosen(source: Source, names: Sequence[str]) -> VolumeError:
 
 
 def _climate(data: Any) -> dict[str, Any]:
-    """The attributes of a dataset that are of CF's vocabulary; others may be of types that h5py
-    cannot read.
+    """Read the attributes of a dataset that are of CF's vocabulary; others may be of types that
+    h5py does not know.
     """
     return {name: data.attrs[name] for name in PACKING_ATTRIBUTES if name in data.attrs}
 
