@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from isogi_core.files.grid import Affine
-from isogi_core.files.ome import METRES_OF_NAMES
+from isogi_core.files.units import LENGTHS
 from isogi_core.files.vector import Vector, triple
 
 EVEN_STEP_SHARE = 1e-3
@@ -38,15 +38,6 @@ EAST = ("degrees_east", "degree_east", "degree_e", "degrees_e", "degreese")
 NORTH = ("degrees_north", "degree_north", "degree_n", "degrees_n", "degreesn")
 PRESSURES = ("pa", "hpa", "kpa", "mbar", "millibar", "millibars", "bar", "dbar", "decibar", "atm")
 """Units by which CF tells longitude, latitude and the vertical."""
-
-LENGTHS = {
-    **METRES_OF_NAMES,
-    **{f"{name}s": metres for name, metres in METRES_OF_NAMES.items()},
-    **{"m": 1.0, "mm": 1e-3, "cm": 1e-2, "km": 1e3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6},
-    **{"nm": 1e-9, "pm": 1e-12, "å": 1e-10, "ang": 1e-10, "micron": 1e-6, "microns": 1e-6},
-    **{"metre": 1.0, "metres": 1.0, "kilometre": 1e3, "kilometres": 1e3},
-}
-"""Metres of units of length, by their names in small letters."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,49 +15,10 @@ import zarr
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.grid import PATIENT_AXES, Grid, LabelName, on_right_angles
+from isogi_core.files.units import METRES_OF_NAMES
 from isogi_core.storage.atomic_file import whole_folder
 
 SPACE_AXES = ("x", "y", "z")
-
-SI_PREFIXES = {
-    **{
-        "yotta": 24,
-        "zetta": 21,
-        "exa": 18,
-        "peta": 15,
-        "tera": 12,
-        "giga": 9,
-        "mega": 6,
-        "kilo": 3,
-        "hecto": 2,
-    },
-    **{
-        "deca": 1,
-        "deci": -1,
-        "centi": -2,
-        "milli": -3,
-        "micro": -6,
-        "nano": -9,
-        "pico": -12,
-        "femto": -15,
-    },
-    **{"atto": -18, "zepto": -21, "yocto": -24},
-}
-"""Powers of ten by SI prefix."""
-
-METRES_OF_NAMES = {
-    **{f"{prefix}meter": 10.0**power for prefix, power in SI_PREFIXES.items()},
-    **{
-        "meter": 1.0,
-        "angstrom": 1e-10,
-        "inch": 0.0254,
-        "foot": 0.3048,
-        "yard": 0.9144,
-        "mile": 1609.344,
-    },
-    "parsec": 3.0856775814913673e16,
-}
-"""Metres of the units that NGFF names."""
 
 UNIT_SIGNS = {
     "meter": "m",

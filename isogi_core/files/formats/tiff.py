@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.coordinates import LENGTHS, SPACING_KEY
+from isogi_core.files.coordinates import SPACING_KEY
 from isogi_core.files.formats.source import (
     LAYERED,
     LUMINANCE_NOTE,
@@ -28,6 +28,7 @@ from isogi_core.files.formats.source import (
 from isogi_core.files.grid import SINGLE_MOMENT, Grid, Shape
 from isogi_core.files.packed_files import stamp_of
 from isogi_core.files.packing import Packing, Scaling, holed
+from isogi_core.files.units import LENGTHS
 
 TIFF_SUFFIXES = (".tif", ".tiff")
 TIFF_UNITS = {
