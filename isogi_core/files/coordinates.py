@@ -77,6 +77,25 @@ def text_of(value: Any) -> str:
     return str(value)
 
 
+SPACING_WORDS = ("spacing", "voxel", "pixel", "resolution", "element_size", "scale")
+"""Words in the names of attributes that may say how far voxels lie apart."""
+
+
+def unread_spacing(attributes: Mapping[str, Any]) -> tuple[str, ...]:
+    """Say which attribute of three numbers looks like spacing, of which isogi does not know the
+    order or the unit.
+    """
+    for name, value in attributes.items():
+        try:
+            steps = np.ravel(np.asarray(value, np.float64))
+        except (TypeError, ValueError):
+            continue
+        if any(word in str(name).lower() for word in SPACING_WORDS) and steps.size == 3:
+            given = ", ".join(f"{step:g}" for step in steps)
+            return (f"Its attribute '{name}', {given}, is not read as spacing: {SPACING_KEY}.",)
+    return ()
+
+
 def role_of(name: str, attributes: Mapping[str, Any]) -> str:
     """Tell which axis a dimension is, by the ``attributes`` of its coordinates, else by its name:
     x, y, z, t, c, or nothing if neither says it.

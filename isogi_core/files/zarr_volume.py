@@ -18,7 +18,7 @@ from zarr.abc.store import Store
 from zarr.storage import LocalStore, ObjectStore
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.coordinates import SPACING_KEY, Along, Place, place_by
+from isogi_core.files.coordinates import SPACING_KEY, Along, Place, place_by, unread_spacing
 from isogi_core.files.grid import (
     MAX_VOXELS,
     SINGLE_MOMENT,
@@ -355,7 +355,9 @@ def _placed(found: FoundArray) -> Place:
     else by the coordinates of its axes.
     """
     if found.given is None or found.given.matrix is None:
-        return place_by(found.scales)
+        place = place_by(found.scales)
+        notes = () if place.said else unread_spacing(found.array.attrs.asdict())
+        return replace(place, notes=(*place.notes, *notes))
     matrix, unit, letters = placed_in_space(found.given)
     x, y, z = (math.hypot(*column) for column in matrix[:, :3].T.tolist())
     alone = np.column_stack([np.diag([x, y, z]), np.zeros(3)])

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.coordinates import Along, along, place_by, role_of, roles_of
+from isogi_core.files.coordinates import Along, along, place_by, role_of, roles_of, unread_spacing
 from isogi_core.files.formats.hdf5_dialects import (
     CHOICES,
     DESCRIPTIONS,
@@ -129,6 +129,8 @@ def _said(source: Source, data: Any) -> Said:
         used = []  # of a film no axis is a depth
     axes = [None if scale is None else along(scale[()], _read(scale)) for scale in used]
     place = place_by(axes)
+    if not place.said:
+        notes = (*notes, *unread_spacing(_small(data)), *unread_spacing(_small(data.parent)))
     placed = "the coordinates of its axes" if place.said and not place.notes else known.placed
     return replace(known, axes=roles, place=place, placed=placed, notes=notes)
 
@@ -149,6 +151,17 @@ def _role(data: Any, axis: int, scale: Any) -> str:
     names = [dimension.label, *dimension.keys(), "" if scale is None else str(scale.name)]
     attributes = {} if scale is None else _read(scale)
     return next((role for name in names if (role := role_of(str(name), attributes))), "")
+
+
+def _small(held: Any) -> dict[str, Any]:
+    """Read the attributes of a dataset or a group that are numbers, of three at most."""
+    found = {}
+    for name in held.attrs:
+        with suppress(OSError, TypeError, ValueError):
+            kind = held.attrs.get_id(name)
+            if kind.shape in ((3,), (1, 3), (3, 1)) and kind.dtype.kind in "iuf":
+                found[str(name)] = held.attrs[name]
+    return found
 
 
 AXIS_ATTRIBUTES = ("units", "axis", "positive", "standard_name")
@@ -385,19 +398,27 @@ def _variables(source: Source) -> Iterator[dict[str, Any]]:
 
 
 def _chosen(source: Source, variables: dict[str, Any]) -> Any:
-    """The variable that is chosen, the only one of three dimensions or more by default."""
+    """Find the variable that is chosen; by default the only one of three dimensions or more, else
+    the only one in space.
+    """
     fields = {
         name: each
         for name, each in variables.items()
         if len(each.dimensions) > 2 and each.data.dtype.kind in "if"
     }
     part = source.chosen.get("part")
+    in_space = [
+        each
+        for each in fields.values()
+        if {"x", "y", "z"}
+        <= {role_of(name, _attributes(variables, name)) for name in each.dimensions}
+    ]
     if part:
         found = fields.get(part.strip("/"))
     elif len(fields) == 1:
         found = next(iter(fields.values()), None)
     else:
-        found = None
+        found = in_space[0] if len(in_space) == 1 else None
     if found is None:
         raise unchosen(source, list(fields))
     return found

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import VolumeError
+from isogi_core.files.coordinates import SPACING_KEY
 from isogi_core.files.formats.source import Source, library, pick, raw_slabs, reader
 from isogi_core.files.grid import Affine, Grid, read_as
 
@@ -32,6 +33,8 @@ def open_mrc(source: Source) -> Grid:
     volumes = _volumes(header, shape[0])
     time = pick(source, "time", volumes, "volumes")
     first = MRC_HEADER_BYTES + extended
+    if min(float(header["cella"][name]) for name in "xyz") <= 0.0:
+        notes = (*notes, f"The file has no cell, a voxel is taken as 1 Å wide: {SPACING_KEY}.")
     notes = (*notes, *source.cut_notes(first + math.prod(shape) * dtype.itemsize))
     shape = (shape[0] // volumes, *shape[1:])
     start = first + time * math.prod(shape) * dtype.itemsize

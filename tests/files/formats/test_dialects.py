@@ -241,3 +241,10 @@ def test_degrees_and_metres_are_cubes_with_a_note(tmp_path: Path) -> None:
     assert grid.affine is not None and grid.affine.matrix[1][1] == -1.0
     assert "taken as cubes, as its axes are in degrees_east, degrees_north, m" in grid.notes[0]
     assert "#spacing=" in grid.notes[0]
+
+
+def test_spacing_that_is_not_read_is_told(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "f.h5", "w") as file:
+        file.create_dataset("v", data=F).attrs["voxel_size"] = [4.0, 2.0, 1.0]
+    grid = open_file(tmp_path / "f.h5", {})
+    assert "attribute 'voxel_size', 4, 2, 1, is not read as spacing: #spacing=" in grid.notes[0]
