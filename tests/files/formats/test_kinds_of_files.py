@@ -65,7 +65,11 @@ NAMED = [
 ]
 
 
-@pytest.mark.parametrize(("name", "content", "kind", "way_out"), NAMED)
+@pytest.mark.parametrize(
+    ("name", "content", "kind", "way_out"),
+    NAMED,
+    ids=[f"{name} {kind}" for name, _, kind, _ in NAMED],
+)
 def test_a_file_is_named_with_a_way_out(
     tmp_path: Path, name: str, content: bytes, kind: str, way_out: str
 ) -> None:
@@ -124,7 +128,9 @@ def check(grid: Grid) -> None:
 
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
 @pytest.mark.parametrize(
-    ("name", "header"), [("f.mhd", META), ("f.bov", BOV), ("f.vgi", VGI), ("f.dat", DAT)]
+    ("name", "header"),
+    [("f.mhd", META), ("f.bov", BOV), ("f.vgi", VGI), ("f.dat", DAT)],
+    ids=["mhd", "bov", "vgi", "dat"],
 )
 def test_headers_say_what_bare_voxels_are(tmp_path: Path, name: str, header: str, end: str) -> None:
     text = header.replace("{data}", "f.raw").replace("{msb}", "False")
