@@ -269,6 +269,13 @@ READ_KINDS: tuple[Kind, ...] = (
         loads=HDF5_MODULES,
     ),
     Kind(
+        "XDMF",
+        xml_of(b"Xdmf"),
+        (".xdmf", ".xmf"),
+        reader="xdmf:open_xdmf",
+        loads=("xml.etree.ElementTree", *HDF5_MODULES),
+    ),
+    Kind(
         "NetCDF",
         marked(b"CDF"),
         reader="hdf5:open_netcdf",

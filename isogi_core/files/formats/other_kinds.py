@@ -9,7 +9,6 @@ from isogi_core.files.formats.kinds import (
     marked,
     matching,
     vtk_file,
-    xml_of,
 )
 
 PICTURE_HINT = (
@@ -100,12 +99,6 @@ OTHER_KINDS: tuple[Kind, ...] = (
         (".dm3", ".dm4"),
         both=True,
         hint=MICROSCOPE_HINT.format("Gatan DM3 or DM4"),
-    ),
-    Kind(
-        "XDMF",
-        xml_of(b"Xdmf"),
-        hint="XDMF, which describes data in other files: give the HDF5 file that it names, with "
-        "the path inside, such as run.h5#rho, and set spacing",
     ),
     Kind("VTK grid", vtk_file(b"P?(?:Structured|Unstructured)Grid"), hint=CELLS_HINT),
     Kind(

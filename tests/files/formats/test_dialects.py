@@ -248,3 +248,29 @@ def test_spacing_that_is_not_read_is_told(tmp_path: Path) -> None:
         file.create_dataset("v", data=F).attrs["voxel_size"] = [4.0, 2.0, 1.0]
     grid = open_file(tmp_path / "f.h5", {})
     assert "attribute 'voxel_size', 4, 2, 1, is not read as spacing: #spacing=" in grid.notes[0]
+
+
+XDMF = (
+    '<?xml version="1.0"?><Xdmf><Domain><Grid Name="g"><Topology TopologyType="{kind}"/>'
+    '<Geometry GeometryType="ORIGIN_DXDYDZ"><DataItem>3 2 1</DataItem><DataItem>4 2 1</DataItem>'
+    '</Geometry><Attribute Name="rho" Center="{center}"><DataItem Format="HDF">x.h5:/a/rho'
+    "</DataItem></Attribute></Grid></Domain></Xdmf>"
+)
+
+
+@pytest.mark.parametrize("center", ["Node", "Cell"])
+def test_xdmf_names_its_values_and_their_place(tmp_path: Path, center: str) -> None:
+    path = tmp_path / "f.xdmf"
+    path.write_text(XDMF.format(kind="3DCoRectMesh", center=center))
+    with pytest.raises(VolumeError, match=r"'x.h5' with its voxels is not next to it"):
+        opened(path)
+    with h5py.File(tmp_path / "x.h5", "w") as file:
+        file["a/rho"] = F
+        file["a/other"] = -F
+    grid = opened(path)
+    half = 0.5 * (center == "Cell")
+    assert lies(grid) == ((1.0, 2.0, 4.0), (1.0 + half, 2.0 + 2 * half, 3.0 + 4 * half))
+    np.testing.assert_array_equal(grid.whole(), F)
+    path.write_text(XDMF.format(kind="3DSMesh", center=center))
+    with pytest.raises(VolumeError, match=r"no one even grid .* give the HDF5 file that it names"):
+        opened(path)

@@ -47,7 +47,6 @@ NAMED = [
     ("a.nd2", b"\xda\xce\xbe\x0a", "ND2", "bfconvert"),
     ("a.dm4", b"\0\0\0\4\0", "DM4", "bfconvert"),
     ("a.sgy", b"\xc3\x40\xf1\x40", "SEG-Y", "segyio"),
-    ("a.xdmf", b'<?xml version="1.0"?>\n<!-- a --><Xdmf>', "XDMF", "HDF5 file that it names"),
     ("a.vts", b'<?xml version="1.0"?><VTKFile type="StructuredGrid">', "mesh of VTK", "Resample"),
     ("a.vtu", b'<VTKFile type="UnstructuredGrid" version="1.0">', "mesh of VTK", "Resample"),
     ("a.vtp", b'<VTKFile type="PolyData" version="1.0">', "triangles", "the volume"),
