@@ -277,7 +277,7 @@ READ_KINDS: tuple[Kind, ...] = (
     ),
     Kind(
         "NetCDF",
-        marked(b"CDF"),
+        marked(b"CDF\1", b"CDF\2", b"CDF\5"),
         reader="hdf5:open_netcdf",
         loads=("nibabel.externals.netcdf",),
     ),

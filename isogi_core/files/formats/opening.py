@@ -25,7 +25,13 @@ from isogi_core.files.formats.kinds import (
     libraries_for,
     reader_of,
 )
-from isogi_core.files.formats.other_kinds import BARE_VOXELS_HINT, guess_of, hint_of, hint_of_folder
+from isogi_core.files.formats.other_kinds import (
+    BARE_VOXELS_HINT,
+    guess_of,
+    hint_of,
+    hint_of_folder,
+    is_text,
+)
 from isogi_core.files.formats.source import FILE_CHOICES, Source
 from isogi_core.files.grid import Grid
 
@@ -74,12 +80,12 @@ def _open_by_head(source: Source) -> Grid:
                 "bzip2: unpack it first."
             )
         return kind.open()(source)
-    if array_files.is_raw(source.name):
-        return array_files.open_raw(source)
-    if header := side_headers.header_beside(source):
+    if not is_text(head) and (header := side_headers.header_beside(source)):
         grid = _open_by_head(header)
         note = f"'{Path(source.name).name}' is bare voxels: '{Path(header.name).name}' says what."
         return replace(grid, notes=(*grid.notes, note))
+    if array_files.is_raw(source.name):
+        return array_files.open_raw(source)
     raise _unknown(source, head)
 
 

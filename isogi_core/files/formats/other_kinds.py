@@ -46,7 +46,7 @@ OTHER_KINDS: tuple[Kind, ...] = (
     Kind("Radiance", marked(b"#?R"), hint=LIGHT_PROBE_HINT),
     Kind("OpenEXR", marked(b"\x76\x2f\x31\x01"), hint=LIGHT_PROBE_HINT),
     Kind("PDF", marked(b"%PDF"), hint="a PDF document: give the file of the volume itself"),
-    Kind("STL", marked(b"solid "), hint=MESH_HINT),
+    Kind("STL", matching(rb"solid [^\n]*\n\s*(?:facet|endsolid)"), hint=MESH_HINT),
     Kind("PLY", marked(b"ply\n", b"ply\r"), hint=MESH_HINT),
     Kind("glTF", marked(b"glTF"), hint=MESH_HINT),
     Kind("HTML", matching(rb"<!doctype html|<html"), hint=WEB_PAGE_HINT),
@@ -79,7 +79,7 @@ OTHER_KINDS: tuple[Kind, ...] = (
     ),
     Kind(
         "SEG-Y",
-        marked(b"\xc3\x40\xf1", b"\xc3\x40\x40\xf1", b"C 1 ", b"C01 "),
+        marked(b"\xc3\x40\xf1", b"\xc3\x40\x40\xf1"),
         hint="SEG-Y of seismic surveys: save its cube by numpy.save(OUT, segyio.tools.cube(IN))",
     ),
     Kind("Scanco AIM", marked(b"AIMDATA_V0"), hint=SCANNER_HINT.format("Scanco AIM")),
@@ -164,9 +164,14 @@ def hint_of(head: Head) -> str:
     return ""
 
 
+def is_text(head: Head) -> bool:
+    """Tell whether a file begins as a text, of any language."""
+    return bool(head.content) and not head.content.translate(None, TEXT_BYTES)
+
+
 def guess_of(head: Head) -> str:
     """Say what a file of no known kind may be: a text by its bytes, else what its suffix says."""
-    if head.content and not head.content.translate(None, TEXT_BYTES):
+    if is_text(head):
         return WRONG_SUFFIXES.get(head.suffix) or TEXT_HINT
     if head.is_packed:
         return WRONG_SUFFIXES.get(head.suffix, BARE_VOXELS_HINT)

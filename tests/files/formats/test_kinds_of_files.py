@@ -304,3 +304,10 @@ def test_cubes_of_fits(tmp_path: Path) -> None:
         assert grid.affine is not None and grid.affine.matrix[2][2] == -1.5
     (tmp_path / "sky.fits").write_bytes(fits(CTYPE1="'RA---TAN'", **places))
     assert "cubes, as its axes are RA---TAN" in open_file(tmp_path / "sky.fits", {}).notes[0]
+
+
+def test_texts_that_name_each_other_are_no_headers(tmp_path: Path) -> None:
+    (tmp_path / "a.dat").write_text("see b.dat")
+    (tmp_path / "b.dat").write_text("see a.dat")
+    with pytest.raises(VolumeError, match="a text of no kind"):
+        open_file(tmp_path / "a.dat", {})
