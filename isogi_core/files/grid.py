@@ -218,6 +218,10 @@ def _of_region(stamp: Callable[[], str], region: Region) -> str:
     return f"{stamp()} {region}"
 
 
+UNPLACED = "it does not say where it lies"
+"""How ``read_as`` ends for a source that gives no place and no spacing."""
+
+
 def read_as(
     kind: str, stored: np.dtype[Any], placed: str = "", slope: float = 1.0, intercept: float = 0.0
 ) -> str:
@@ -235,7 +239,7 @@ def read_as(
     if placed:
         lies = f"placed by {placed}"
     else:
-        lies = "it does not say where it lies"
+        lies = UNPLACED
     return f"{kind} of {stored.name}{order}{values}; {lies}"
 
 

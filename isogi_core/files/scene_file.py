@@ -16,6 +16,7 @@ from urllib.parse import unquote
 
 from isogi_core.errors import SceneError, advice, readable
 from isogi_core.files.packed_files import in_short, read_small, reason_of
+from isogi_core.files.spelling import shortest
 from isogi_core.files.vector import Vector, triple
 
 CHANGING_PARAMETERS = ("surfaces", "hide", "material")
@@ -348,12 +349,12 @@ def labels_as_volume(document: Mapping[str, Any], name: str) -> Mapping[str, Any
 
 
 LYING = (
-    *("axes", "solid", "smooth", "pieces", "labels", "raw", "environment", "cut"),
+    *("axes", "spacing", "solid", "smooth", "pieces", "labels", "raw", "environment", "cut"),
     *CHANGING_PARAMETERS,
 )
-"""Settings that may follow the # of a target: how its volume lies, which side of the isovalue is
-solid, how far it is smoothed, whether its values are labels, its light, what is cut away, and what
-changes it as views do.
+"""Settings that may follow the # of a target: how its volume lies and how far its voxels are apart,
+which side of the isovalue is solid, how far it is smoothed, whether its values are labels, its
+light, what is cut away, and what changes it as views do.
 """
 
 NUMBERS_LYING = ("smooth", "pieces")
@@ -373,6 +374,9 @@ def split_settings(target: str) -> tuple[str, dict[str, Any]]:
     for key in (each for each in NUMBERS_LYING if each in told):
         with suppress(ValueError):  # a text stays, which the setting refuses
             told[key] = int(told[key]) if told[key].isdecimal() else float(told[key])
+    if "spacing" in told:
+        with suppress(ValueError):
+            told["spacing"] = [float(step) for step in told["spacing"].split(",")]
     rest = "&".join(each for each in part.split("&") if each.partition("=")[0] not in LYING)
     return f"{place}#{rest}" if rest else place, told
 
@@ -482,7 +486,7 @@ class Settings:
 
     def number(self, key: str, fallback: float, low: float, high: float) -> float:
         """A number in [low, high]."""
-        wanted = f"a number from {low:g} to {high:g}"
+        wanted = f"a number from {shortest(low)} to {shortest(high)}"
         value = self._read(key, lambda value: is_number(value) and low <= value <= high, wanted)
         return float(fallback if value is None else value)
 
@@ -541,7 +545,8 @@ class Settings:
         if not within[0] <= value[0] <= value[1] <= within[1]:
             raise self._wrong(
                 key,
-                f"two ascending numbers from {within[0]:g} to {within[1]:g}, the volume's range",
+                f"two ascending numbers from {shortest(within[0])} to {shortest(within[1])}, the "
+                "volume's range",
             )
         return value[0], value[1]
 
@@ -549,7 +554,9 @@ class Settings:
         """Two numbers in [low, high], the second above the first, or None."""
         value = self.numbers(key, 2)
         if value is not None and not low <= value[0] < value[1] <= high:
-            raise self._wrong(key, f"two ascending numbers from {low:g} to {high:g}")
+            raise self._wrong(
+                key, f"two ascending numbers from {shortest(low)} to {shortest(high)}"
+            )
         if value is None:
             return None
         return (value[0], value[1])

@@ -15,6 +15,7 @@ from typing import Any, NewType
 import numpy as np
 
 from isogi_core.files.grid import Grid
+from isogi_core.files.spelling import shortest
 from isogi_core.files.vector import Vector, triple
 from isogi_core.model.value_survey import COPY_STAGES, Progress, no_progress, normalise, survey
 
@@ -243,6 +244,11 @@ class Volume:
         return Isovalue(
             np.float64(np.float32(normalise(np.array(float(value)), self.offset, self.scale)))
         )
+
+    def spell(self, value: float) -> str:
+        """Write an isovalue with the fewest digits that give the same surface."""
+        level = self.normalise_isovalue(value)
+        return shortest(value, lambda other: self.normalise_isovalue(other) == level)
 
     def normalise_span(self, one: float, other: float) -> tuple[Isovalue, Isovalue]:
         """Convert a range of isovalues of the volume's file to the units of its voxels; the

@@ -12,6 +12,7 @@ from typing import Any
 from isogi_core.errors import ViewError
 from isogi_core.files.scene_file import LEAST_TARGET, Target, find_source
 from isogi_core.files.scene_file import Settings as SceneSettings
+from isogi_core.files.spelling import shortest
 from isogi_core.frame.card.blocks import raw_scale
 from isogi_core.frame.card.coding import Coding, coding_for
 from isogi_core.frame.rays.control_pixels import TotalError
@@ -323,4 +324,6 @@ def published(facts: Mapping[str, Any]) -> str:
         where = f"open {facts['file']} in a browser"
     else:
         where = f"open {facts['file']}/{PAGE} on a server"
-    return f"{facts['file']}: isovalues {low:g} to {high:g}, {good}, {size}: {where}"
+    return (
+        f"{facts['file']}: isovalues {shortest(low)} to {shortest(high)}, {good}, {size}: {where}"
+    )

@@ -16,6 +16,7 @@ from tqdm import tqdm
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import Cancelled, ViewError
 from isogi_core.files.scene_file import Target
+from isogi_core.files.spelling import shortest
 from isogi_core.frame.fitting import Stand
 from isogi_core.frame.frame import TAIL, Frame
 from isogi_core.frame.renderer import Renderer
@@ -150,21 +151,22 @@ def draw(
 
 def why_empty(scene: Scene, view: View) -> str:
     """Return a sentence that explains why a picture shows no surface, with advice."""
+    spell = scene.volume.spell
     low, high = scene.volume.value_range
     if low == high:
-        return f"No surface: all values are {low:.6g}."
+        return f"No surface: all values are {shortest(low)}."
     if not low < view.isovalue < high:
         return (
-            f"No surface at {view.isovalue:.6g}: values go from {low:.6g} to {high:.6g}, choose "
-            "an isovalue between them."
+            f"No surface at {spell(view.isovalue)}: values go from {shortest(low)} to "
+            f"{shortest(high)}, choose an isovalue between them."
         )
     if view.window is not None or scene.source.document.get("cut"):
         return (
-            f"No surface at {view.isovalue:.6g} in what the cut leaves: cut away less, or choose "
-            "another isovalue."
+            f"No surface at {spell(view.isovalue)} in what the cut leaves: cut away less, or "
+            "choose another isovalue."
         )
     return (
-        f"No surface at {view.isovalue:.6g} in view: leave the camera out, or choose another "
+        f"No surface at {spell(view.isovalue)} in view: leave the camera out, or choose another "
         "isovalue."
     )
 

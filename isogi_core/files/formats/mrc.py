@@ -8,17 +8,13 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import VolumeError
+from isogi_core.files.coordinates import SPACING_KEY
 from isogi_core.files.formats.source import Source, library, pick, raw_slabs, reader
 from isogi_core.files.grid import Affine, Grid, read_as
 
 MRC_HEADER_BYTES = 1024
 EXTENDED_SIZE_BYTE = 92
 """Bytes of a header, and the byte from which on it says how long the extended header is."""
-
-
-def is_mrc(head: bytes) -> bool:
-    """Whether a file begins as MRC does: by its stamp."""
-    return head[208:211] == b"MAP"
 
 
 @reader("MRC", "time")
@@ -37,6 +33,8 @@ def open_mrc(source: Source) -> Grid:
     volumes = _volumes(header, shape[0])
     time = pick(source, "time", volumes, "volumes")
     first = MRC_HEADER_BYTES + extended
+    if min(float(header["cella"][name]) for name in "xyz") <= 0.0:
+        notes = (*notes, f"The file has no cell, a voxel is taken as 1 Å wide: {SPACING_KEY}.")
     notes = (*notes, *source.cut_notes(first + math.prod(shape) * dtype.itemsize))
     shape = (shape[0] // volumes, *shape[1:])
     start = first + time * math.prod(shape) * dtype.itemsize

@@ -22,6 +22,7 @@ import nrrd
 import numpy as np
 
 from isogi_core.errors import VolumeError
+from isogi_core.files.coordinates import SPACING_KEY
 from isogi_core.files.formats.source import (
     LUMINANCE_NOTE,
     Source,
@@ -405,6 +406,14 @@ def unit_of(header: Header) -> str:
     return units.pop() if len(units) == 1 else ""
 
 
+def unit_notes(header: Header) -> tuple[str, ...]:
+    """Say so if axes have several units."""
+    units = [str(unit).strip('"') for unit in header.get("space units", ())]
+    if len(set(units)) < 2:
+        return ()
+    return (f"Its axes are in {', '.join(units)}, taken as one unit: {SPACING_KEY}.",)
+
+
 _DIGITS = re.compile(r"%0?\d{0,2}d")
 """A number in a pattern of names, of at most 99 digits: each name is made in memory."""
 
@@ -489,7 +498,7 @@ def open_nrrd(source: Source) -> Grid:
         partial(_stamp, source, files),
         affine_of(header, layout),
         unit_of(header),
-        (*layout.notes, *cut),
+        (*layout.notes, *cut, *unit_notes(header)),
         layout.moment,
         layout.unchosen,
         labels_of(header, layout.number or 0),

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import SceneError, VolumeError, readable
+from isogi_core.files.coordinates import SPACING_KEY
 from isogi_core.files.formats.opening import open_file, split_part
-from isogi_core.files.grid import Grid, Region, on_right_angles
+from isogi_core.files.grid import UNPLACED, Grid, Region, on_right_angles
 from isogi_core.files.mappings import UNMAPPED_SHARE, budget
 from isogi_core.files.packed_files import in_short, reason_of
 from isogi_core.files.packing import without_fill
@@ -149,6 +150,16 @@ FIRST_STEP_NOTE = (
 )
 
 
+CUBES_NOTE = f"Voxels are taken as cubes: {SPACING_KEY}."
+"""The note on volumes whose spacing is assumed."""
+
+
+def says_spacing(grid: Grid, settings: Settings) -> bool:
+    """Tell whether the scene, the file or a note on it says how far voxels lie apart."""
+    noted = any(SPACING_KEY in note for note in grid.notes)
+    return noted or "spacing" in settings.source.document or UNPLACED not in grid.read_as
+
+
 def is_raw(settings: Settings) -> bool:
     """Return True if volumes of a scene lie in the world as their voxels do, whatever their
     files say. Raises SceneError.
@@ -166,6 +177,8 @@ def open_own(settings: Settings) -> tuple[Grid, str]:
     grid, stem = _open_placed(settings.source.base, settings.text("volume", DEFAULT_DEMO), chosen)
     steps = grid.moment[1]
     notes = (FIRST_STEP_NOTE.format(steps=steps, last=steps - 1),) if grid.unchosen else ()
+    if grid.affine is None and set(grid.spacing) == {1.0} and not says_spacing(grid, settings):
+        notes = (*notes, CUBES_NOTE)
     grid = replace(grid, notes=(*grid.notes, *notes))
     return grid.raw(chosen.get("region")) if is_raw(settings) else grid, stem
 
