@@ -38,8 +38,9 @@ than better light. Each further round at least doubles their number.
 
 
 EVENLY_DRAWN = 0.5
-"""Share of the controls that is drawn evenly from the points of a picture; the others are drawn
-by uncertainty.
+"""Share of the controls that is drawn evenly from the points of a picture; the others are drawn in
+proportion to the uncertainty. Even draws keep each weight below 1 / EVENLY_DRAWN, also if the
+uncertainty misses an error.
 """
 
 
@@ -154,7 +155,9 @@ def draw_places(
     return their rows, (count,) int64.
 
     Half of them are drawn evenly, the others in proportion to the ``uncertainty`` (m,) of each
-    point (see ``chances``). Random numbers follow from the ``key`` alone.
+    point, a luminance. A control is weighted by 1 / (m · chance), which makes up for its uneven
+    ``chances``. The ``key`` (attempt, controls drawn before) seeds the random numbers, so that the
+    same view gets the same controls again.
     """
     # Sort the points along Morton's curve, so that points near on the curve are near in the
     # picture.
@@ -209,7 +212,8 @@ def trace_controls(
     """Trace two halves of ``paths`` paths each from the points in rows ``places`` (k,); return
     their luminance, (k, 2).
 
-    Each ``stream`` has random numbers of its own. Raises Cancelled.
+    The halves take the random sequences 2 · ``stream`` and 2 · ``stream`` + 1 of controls, so they
+    are independent of each other and of the light that the picture shows. Raises Cancelled.
     """
     # A point that was drawn more than once is traced once: it would draw the same random numbers.
     distinct, rows = np.unique(places, return_inverse=True)

@@ -171,7 +171,12 @@ class SeenThrough:
         return light, wrong
 
     def states(self, lit: Framebuffer) -> np.ndarray:
-        """Return the least state of all that each tree shows; (n,) uint8."""
+        """Return the state of each tree: the worst one of the walls that it shows (states ascend
+        from provisional to final); (n,) uint8.
+
+        A tree without walls is final, as the environment is exact. ``lit`` has one pixel for each
+        place, or a single unused one if there are no places.
+        """
         state = np.full(len(self.sky), FINAL, np.uint8)
         np.minimum.at(state, self.rows, lit.state[: len(self.rows)])
         return state
