@@ -228,7 +228,8 @@ def bounces_of_truth(light: RotatedLight) -> int:
     share CUT of the light. If the scene gives the number of bounces itself, return that.
     """
     plan = light.spec.prepared.scene.plan
-    # A plan that chose the bounces lists the error of those cut off.
+    # A plan that chose the bounces lists the error of those cut off. ``bounces_for`` keeps within
+    # BOUNCES_SHARE of the error that it is given; dividing by it leaves CUT.
     if "bounces" in dict(plan.errors):
         return max(bounces_for(light.reflecting, CUT / BOUNCES_SHARE), plan.bounces)
     return plan.bounces
@@ -264,8 +265,8 @@ class TotalError:
     controls: int = 0
 
     def at_least(self, noise: float) -> "TotalError":
-        """Return the error of a picture whose ``noise`` alone is known to be this large: few
-        control pixels may find less by chance.
+        """Return this error, raised to the ``noise`` of the picture if it is smaller: the noise is
+        a part of the total error, but few control pixels may miss it by chance.
         """
         if noise <= self.likely:
             return self

@@ -245,7 +245,9 @@ class Shadows:
         return sees
 
     def halves(self, pairs: np.ndarray, seen: np.ndarray) -> np.ndarray:
-        """Return the shares of lobes that points see in part, and their variance; (pairs, 2)."""
+        """Return the irradiance of each of the ``pairs`` in half-shadow, as a share of that by the
+        whole lobe at normal incidence, and its variance; (pairs, 2).
+        """
         sides = np.empty(len(pairs), np.uint8)
         places = np.empty(self.points, np.int32)
         find_sides(self.picture, pairs, seen, sides)
@@ -270,8 +272,8 @@ class Shadows:
         return shares
 
     def _shares(self, pairs: np.ndarray, rays: int) -> np.ndarray:
-        """Return the shares of lobes that points see, by ``rays`` rays of each pair, and their
-        variance.
+        """Return the shares of ``halves`` by ``rays`` rays of each pair alone, and their variance;
+        (pairs, 2).
         """
         shares = np.empty((len(pairs), 2))
 
@@ -286,6 +288,7 @@ class Shadows:
                 shares[a:b],
             )
 
+        # The fewer rays a pair has, the more pairs are in a tile: each takes about as long.
         self.tiles.run(_piece, len(pairs), HALF_SEEN_PAIRS * PENUMBRA_RAYS[0] // rays)
         return shares
 

@@ -222,8 +222,8 @@ def cast_rays(
     """Cast rays of shine from each point of a G-buffer: the ``samples`` of each of the
     ``replicas``.
 
-    Replicas are numbers of independent randomisations; each ray is chosen of ``ways`` candidates.
-    Raises Cancelled.
+    Replicas are numbers of independent randomisations. Each ray is chosen of ``ways`` candidates, in
+    proportion to the light that each is expected to bring. Raises Cancelled.
     """
     shown = gbuffer.shown(tiles)
     lobe = lobe_of(light)

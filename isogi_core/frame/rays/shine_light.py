@@ -201,9 +201,12 @@ class ViewShine(Refinement[ShineLight]):
         framebuffer: Framebuffer,
         tiles: Tiles,
     ) -> bytes:
-        """Add shine to a picture; return a name of the rays, and of the light at their ends."""
+        """Add shine to a picture of diffuse light; return a name of the rays, and of the light at
+        their ends. Raises Cancelled.
+        """
         shine = self._of(light, gbuffer, tiles)
-        # Rays that were cast later have their light in their sums.
+        # Rays cast after the first ones replace these. Their sums hold final light, so their number
+        # names it. The light at the ends of the first rays still changes: look it up now.
         if shine.count:
             shine.put(None, framebuffer, tiles)
             return shine.version

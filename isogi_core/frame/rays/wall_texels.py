@@ -158,6 +158,7 @@ class WallTexels:
         """
         if self.made_of:
             return self.made_of
+        # Texels of the usual density are named by their paths alone, others by both numbers.
         if self.across == FINE_WALL_TEXELS:
             return f"-{self.count:x}"
         return f"-{self.count:x}a{self.across:x}"
