@@ -166,9 +166,9 @@ class PixelLight:
             return
         pixels = gbuffer.pixels
         traced = gbuffer.pixels[self.places]
-        # Divide all light by the colours of the surface, correct it, and multiply again: corrections
-        # are spread over neighbours, and must not carry colours along. Variances of luminance are
-        # divided by the squared luminance of the colour, as if the light were grey.
+        # Divide all light by the colours of the surface, correct it, and multiply again: neighbours
+        # share corrections, which must not carry colours along. Variances of luminance are divided
+        # by the squared luminance of the colour, as if the light were grey.
         tints = tints_of(light, gbuffer, tiles)
         some = tints[self.places]
         grey = (some @ LUMINANCE_WEIGHTS) ** 2

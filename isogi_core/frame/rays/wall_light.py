@@ -457,6 +457,7 @@ class ViewWalls(Refinement[RoomLight]):
                     grown.append(lit.texels)
         finally:
             room.keep(grown)
+        # The texels take more memory than when they were put among the results: count them again.
         self._kept.settle()
         return bool(grown)
 
@@ -467,7 +468,8 @@ class ViewWalls(Refinement[RoomLight]):
 
     def _room(self, walls: WallView) -> RoomLight:
         """Return the light of walls for the isovalue, the albedo and the glow of a view, kept
-        or begun now.
+        or begun now. It depends on nothing else of a view: light does not turn in scenes with
+        walls.
         """
         light = walls.light
         surface = walls.gbuffer.surface
