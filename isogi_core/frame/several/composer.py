@@ -30,8 +30,8 @@ from isogi_core.prepared.prepared_scene import PreparedScene
 
 SHOWN = 2
 HELD = 6
-"""Number of isovalues whose views of pinned surfaces are kept, and of those whose light is: two
-levels for each, and the isovalue itself.
+"""Number of isovalues of the sliding surface for which views of pinned surfaces are kept; and of
+isovalues for which light is: for each of these, the two levels around it and the isovalue itself.
 """
 
 
@@ -161,7 +161,11 @@ class Composer:
             return newest(self._sides, key, SHOWN * len(sides_of(self._scene)))
 
     def _caches_of(self, side: Side, shown: float) -> Caches:
-        """Return the caches of a side's light for the isovalue ``shown``, kept or made now."""
+        """Return the caches of a side's light while the sliding surface shows the isovalue
+        ``shown``, kept or made now. The caller holds the lock.
+        """
+        # Light of the sliding surface (number 0) is kept on each texel's isosurface, and serves
+        # every isovalue; that of pinned surfaces depends on where the sliding one is.
         key = side, shown if side.number else None
         if key not in self._held:
             self._held[key] = self._make_caches(side, shown)
