@@ -156,8 +156,7 @@ def draw_places(
 
     Half of them are drawn evenly, the others in proportion to the ``uncertainty`` (m,) of each
     point, a luminance. A control is weighted by 1 / (m · chance), which makes up for its uneven
-    ``chances``. The ``key`` seeds the random numbers, so that the same picture gets the same controls
-    again.
+    ``chances``. The ``key`` seeds the random numbers: a picture gets the same controls again.
     """
     # Sort the points along Morton's curve, so that points near on the curve are near in the
     # picture.
