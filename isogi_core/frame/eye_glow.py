@@ -128,11 +128,11 @@ def with_glow(
     tiles: Tiles,
     watch: Stopwatch,
 ) -> Frame:
-    """Return the ``frame`` with the glow in front of what it shows; the same frame if nothing
-    glows.
+    """Add the glow in front of all that a ``frame`` shows, in place; return the frame with it. If
+    nothing glows, return the same frame.
 
-    The gathered glow is ``kept`` by a ``key``, for any colour and strength. Raises Cancelled, and
-    ViewError if the view asks for glow and nothing glows.
+    The gathered glow is ``kept``, for any colour and strength, by a ``key`` that names the camera
+    and the surface. Raises Cancelled, and ViewError if the view asks for glow and nothing glows.
     """
     glow = EyeGlow.of(prepared, frame.view.glow)
     if glow is None:

@@ -74,7 +74,9 @@ class ControlPixels:
         return cls(np.empty(0, np.int64), np.empty(0), np.empty((0, 2)))
 
     def joined(self, other: "ControlPixels") -> "ControlPixels":
-        """Concatenate these controls and ``other`` ones of the same picture."""
+        """Concatenate these controls and ``other`` ones of the same picture. The weights stay, as
+        each control counts for all points by its chance in the draw that it is from.
+        """
         places = np.append(self.places, other.places)
         weights = np.append(self.weights, other.weights)
         return ControlPixels(places, weights, np.concatenate([self.halves, other.halves]))
