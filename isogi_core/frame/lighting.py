@@ -86,11 +86,12 @@ class RotatedLight:
         return term.light
 
     def light_of(self, layer: Layer) -> np.ndarray:
-        """Return the rotated light that a ``layer``'s coefficients are multiplied by in all;
-        (3, n²) float64 linear RGB.
+        """Return the rotated light by which the coefficients of a ``layer`` are multiplied, if its
+        light is not of glows; (3, n²) float64 linear RGB.
         """
         term = self.seen.term_of(layer)
-        # Layers of nodes are mixed to the albedo of the view by themselves: see ``colours_of``.
+        # Layers that are kept at several albedos, the nodes, are mixed to the albedo of the view in
+        # ``colours_of``. The light of their terms has weights of the nodes already: take that of the spec.
         if layer.nodes:
             light = self.spec.light[:, : term.order**2]
         else:

@@ -95,7 +95,9 @@ class Composer:
             return compose(view, peels, parts, watch, until.target, self._scene)
 
     def smooth(self, frame: Frame, tiles: Tiles) -> Frame:
-        """Return a ``frame`` that was drawn with more samples at its edges. Raises Cancelled."""
+        """Return a ``frame`` that was drawn with more samples at its edges: where neighbouring
+        pixels differ as a screen shows them, at the scene's exposure. Raises Cancelled.
+        """
         glow = EyeGlow.of(self._caches.prepared, frame.view.glow)
         exposure = self._scene.default_exposure
         return smooth_surfaces(frame, self._peeler(frame.view, tiles), exposure, tiles, glow)
@@ -129,7 +131,8 @@ class Composer:
             for part in parts_of(frame)
             if part.frame.checkable and (frame.checkable or part.side == WALLS_SIDE)
         ]
-        # The side with the largest known error takes the step, or else the next that has one.
+        # The side with the largest known error takes the step, or else the next that has a step to
+        # take.
         for part in sorted(waiting, key=error_of, reverse=True):
             renderer = self.renderer(part.side, view.isovalue)
             if renderer.refine_frame(part.frame, target, tiles, prices.of_present):
