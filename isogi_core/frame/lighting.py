@@ -91,7 +91,8 @@ class RotatedLight:
         """
         term = self.seen.term_of(layer)
         # Layers that are kept at several albedos, the nodes, are mixed to the albedo of the view in
-        # ``colours_of``. The light of their terms has weights of the nodes already: take that of the spec.
+        # ``colours_of``. The light of their terms is weighted for that already, so take that of the
+        # spec.
         if layer.nodes:
             light = self.spec.light[:, : term.order**2]
         else:
