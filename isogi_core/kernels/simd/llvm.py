@@ -62,7 +62,8 @@ def define(
 
     ``typer(*arguments)`` returns the signature for these types of arguments, or None if there is
     none. The builder is called as ``build(context, builder, signature, *values)`` and returns the
-    result's value. ``patterns`` are the argument types that it is registered for.
+    result's value. ``patterns`` are the argument types that it is registered for. The decorator
+    returns the builder as it is, so that it may serve several functions.
     """
 
     def _generic(self: Any, args: Any, kws: Any) -> Any:
@@ -138,7 +139,8 @@ def elementwise(
 
 
 def stub(name: str, does: str, module: str) -> Any:
-    """Make a function of ``module`` that exists in compiled code only; ``does`` is its docstring.
+    """Make a function of ``module`` that exists in compiled code only, as a key by which ``define``
+    registers its code; ``does`` is its docstring.
 
     Python's version raises NotImplementedError.
     """
