@@ -174,8 +174,8 @@ CALLED_IF: Mapping[Any, Callable[[Scene, bool], bool]] = {
     carry_ratios: lambda scene, projects: projects or carries_irradiance_ratios(scene, "gi", False),
     carry_light: lambda scene, _: not carries_irradiance_ratios(scene, "gi", False),
 }
-"""Conditions under which frames of a scene call a kernel, given the scene, and whether it
-projects texels; see also ``uncalled``.
+"""Conditions under which frames of a scene call a kernel: functions of the scene, and of a truth,
+True if it projects texels. See also ``uncalled``.
 """
 
 OTHER_KERNELS = (

@@ -1,5 +1,5 @@
-"""Glow as the eye sees it: the light that the camera's rays gather on their way to what pixels
-show.
+"""Glow as the eye sees it: the light that the camera's rays gather on their way to the points that
+pixels show.
 """
 
 import math
@@ -21,7 +21,7 @@ from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.prepared.prepared_scene import PreparedScene
 
 Layer = tuple[np.ndarray, np.ndarray, np.ndarray | float]
-"""Part of what rays show: ray numbers, points and shares; see ``Frame.layers``."""
+"""Part of the content of rays: ray numbers, points and shares; see ``Frame.layers``."""
 
 MIN_RAY_SHARE = 1e-6
 """Share of a ray below which nothing is gathered behind the layers that it shows."""

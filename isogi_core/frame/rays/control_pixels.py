@@ -31,9 +31,9 @@ the bounces of the scene.
 FIRST_CONTROLS = 256
 CONTROLS_IF_MISSED = 1024
 MAX_CONTROLS = 4096
-"""Number of controls of the first round; of all rounds, for a picture that seems to miss its
-target; and of all rounds for one that seems to reach it, as narrowing its interval costs less
-than better light. Each further round at least doubles their number.
+"""Numbers of controls: of the first round; of all rounds at most if the picture seems to miss its
+target; and of all rounds at most if it seems to reach it. More of them are worth their paths then,
+as narrowing the interval costs less than better light. Each further round at least doubles them.
 """
 
 
@@ -237,8 +237,9 @@ def bounces_of_truth(light: RotatedLight) -> int:
 
 
 CONTROL_STANDARD_ERRORS = 2.2
-"""Standard errors from the middle to either end of an interval. With 1.96 of them, intervals of
-256 controls of seven views held the truth in 86 to 95 % of the cases, not in 95 %.
+"""Standard errors from the middle to either end of a 95 % interval, more than the 1.96 of a normal
+distribution: with these, intervals of 256 controls of seven views held the truth in 86 to 95 % of
+the cases.
 """
 
 

@@ -46,8 +46,8 @@ from isogi_core.model.environment import LUMINANCE_WEIGHTS
 LOBE_POINTS = 4096
 RIM_PAIRS = 1024
 HALF_SEEN_PAIRS = 256
-"""Surface points of a tile; pairs of a point and a lobe, at edges of shadows; and such pairs in
-half-shadow.
+"""Sizes of tiles, at most: in surface points; in pairs of a point and a lobe that cast rays to
+rims; and in pairs in half-shadow that cast the most rays.
 """
 
 
@@ -230,12 +230,16 @@ class Shadows:
         """Return the pairs near ``halves`` that are in half-shadow, too, and were not ``asked``
         yet: see ``spread_edges``.
         """
+        # Pairs that need rays come first in ``more``; those that are known to be in half-shadow by
+        # all their neighbours are at its end.
         more = np.empty(8 * len(halves), np.int64)
         count, last = spread_edges(self.picture, self.lamps, halves, turn, seen, asked, more)
         return np.concatenate([more[last:], self._ask(more[:count], seen)])
 
     def _rims(self, pairs: np.ndarray) -> np.ndarray:
-        """Cast rays to rims for ``pairs``; return what each sees, (pairs,) uint8."""
+        """Cast rays to the rims of lobes for ``pairs``; return LOBE_SEEN, LOBE_HIDDEN or
+        LOBE_HALF_SEEN for each, (pairs,) uint8.
+        """
         sees = np.empty(len(pairs), np.uint8)
 
         def _piece(a: int, b: int) -> None:
@@ -251,8 +255,8 @@ class Shadows:
         sides = np.empty(len(pairs), np.uint8)
         places = np.empty(self.points, np.int32)
         find_sides(self.picture, pairs, seen, sides)
-        # The more neighbours are in half-shadow, too, the fewer rays a point needs: they share
-        # theirs.
+        # ``sides`` has a bit for each pair of opposite neighbours in half-shadow. The more there
+        # are, the fewer rays a point needs: they share theirs.
         rays = np.array(PENUMBRA_RAYS)[np.bitwise_count(sides)]
         traced = np.empty((len(pairs), 2))
         for count in np.unique(rays).tolist():

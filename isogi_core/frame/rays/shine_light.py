@@ -43,8 +43,8 @@ MAX_RAYS = 1 << 12
 
 STEP_RAYS = 1 << 20
 ENDS_TOGETHER = 1 << 18
-"""Rays of a step, about: at least one of each half from a point, at most as many as there are;
-and rays whose ends are looked up together.
+"""Rays of a step, about, and rays whose ends are looked up together. A step casts at least one ray
+of each half from a point, and at most doubles the rays.
 """
 
 SHINE_NOISE_SHARE = 0.5

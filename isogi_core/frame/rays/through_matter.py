@@ -42,14 +42,14 @@ DEEP = 256
 TILE_PLACES = 1 << 13
 PLACES_TOGETHER = 1 << 18
 STEP_PLACES = 1 << 22
-"""Places of a tile; places that are looked up together; and places of a step, about: at least
-one tree of each half from a point, at most as many as there are.
+"""Places of a tile; places that are looked up together; and, about, places of a step. A step takes
+at least one tree of each half from a point, and at most doubles the trees.
 """
 
 MIN_TREES = 8
 MAX_TREES = 1 << 12
-"""Trees of each half that all points have before some points get more than others, as the noise
-of a point is not known from fewer; and at most.
+"""Trees of each half, at least and at most. Up to the least number all points have as many, as the
+noise of a point is not known from fewer; from then on noisy points alone get more.
 """
 
 SURE = 0.25

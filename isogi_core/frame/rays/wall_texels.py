@@ -126,7 +126,8 @@ class WallTexels:
         are interpolated.
         """
         found: WallTexels | None = None
-        # Go from coarse to fine; each fineness fills in what the coarser one left to ask.
+        # Go from coarse to fine: at each fineness, kept texels replace those that are interpolated
+        # from the coarser ones.
         for across, (means, counts) in sorted(kept.items()):
             begun = cls.begun(light, *side, across)
             rows, columns = begun.settled.shape

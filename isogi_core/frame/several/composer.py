@@ -224,8 +224,8 @@ class Composer:
         surfaces = surfaces_of(self._scene, view.isovalue)
         hits, left = self._peeler(view, tiles).whole(view, tiles)
         first = first_of(view, hits, self._caches.prepared.surface(view.isovalue))
-        # Stack the layers of each side that is seen; its surface has the active cells of its own
-        # prepared scene.
+        # Stack the layers of each side that is seen. The surface of a side takes the active cells
+        # of the side's prepared scene.
         sides = {}
         for side in sides_of(self._scene):
             if len(hits.rows_of(side)):

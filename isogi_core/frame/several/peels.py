@@ -168,7 +168,7 @@ class Peeler:
 
     def whole(self, view: View, tiles: Tiles) -> tuple[Hits, np.ndarray]:
         """Cast the rays of all pixels of a ``view``; return their hits, and the share (h, w)
-        float32 of what is behind. Raises Cancelled.
+        float32 of the light behind everything that passes. Raises Cancelled.
         """
         count = view.width * view.height
         found = dict[int, Hits]()

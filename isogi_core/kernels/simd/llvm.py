@@ -163,8 +163,10 @@ def splat(builder: ir.IRBuilder, value: ir.Value, count: int) -> ir.Value:
 
 
 def spread(builder: ir.IRBuilder, value: ir.Value, kind: Vector) -> ir.Value:
-    """Return a number in every lane of a vector of type ``kind``, truncated to its element
-    type; vectors are returned as they are.
+    """Return a number in every lane of a vector of type ``kind``; vectors are returned as they are.
+
+    Numba hands single numbers over in the wide type ``kind.scalar``, so they are narrowed to the
+    element type first.
     """
     if isinstance(value.type, ir.VectorType):
         return value
