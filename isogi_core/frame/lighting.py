@@ -365,7 +365,8 @@ def shoulder_light(camera: Camera) -> tuple[float, float, float]:
 
 def version_of(light: RotatedLight, read: bytes) -> str:
     """Return a hex digest of all that a picture is made of: scene, bake spec, view, and the light
-    that was ``read``.
+    that was ``read``. Of the view it counts the fields of its repr; callers name others in
+    ``read``.
 
     Light is summed in the order of the processor's registers, so their width is part of it.
     """
