@@ -209,7 +209,8 @@ def first_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
 
 def frame_kernels(scenes: Iterable[Scene], surveyed: bool = True) -> tuple[Any, ...]:
     """Return the kernels that frames of any of the ``scenes`` call: those of paths first, then in
-    the order of KERNELS.
+    the order of KERNELS. Kernels of paths that only checks trace are left out, as they may be
+    compiled later: see ``other_kernels``.
 
     A survey of the volume tells if a scene projects texels, and calls kernels itself: scenes that
     are not ``surveyed`` count as if they do.
