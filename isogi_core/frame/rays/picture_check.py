@@ -247,8 +247,8 @@ class PictureCheck:
 
         A plan takes a number of rungs, with the present texels or with finer ones, and then traces
         light for the pixels whose errors are still too large. ``climbs`` are the costs of no rung,
-        of one, and so on, in paths of texels. Pixels that have light of their own keep it; finer
-        texels are no choice then, as they would begin without it. Raises Cancelled.
+        of one, and so on, in paths of texels. Pixels that have traced light keep it; finer texels
+        are no choice then, as they would begin without it. Raises Cancelled.
         """
         # Estimate the squared error of each point by the controls, and the part of it that noise
         # makes; and the variance that a path of the point leaves.
