@@ -131,6 +131,7 @@ class ControlPictures:
         if not (points := len(gbuffer.points)):
             return None
         light = RotatedLight(renderer.caches.spec("gi"), view)
+        # Without uncertainty controls are drawn evenly, so that each has the weight 1.
         places = draw_places(gbuffer, np.zeros(points), (number, 0), CONTROLS)
         halves = trace_controls(
             light, gbuffer, places, paths_for(self._target), number, renderer.tiles
@@ -150,8 +151,8 @@ class ControlPictures:
         return measure_total(np.concatenate(squares), 1.0)
 
     def _squares(self, control: Control, coding: Coding) -> np.ndarray:
-        """Return the squared errors of a picture's control pixels, relative to its mean light;
-        (k,).
+        """Return the squared errors of a picture's control pixels, relative to the square of its
+        mean light, so that those of several pictures can be averaged; (k,).
         """
         framebuffer = draw_coded(self._renderer, control.view, coding, self._target)
         picture = framebuffer.radiance[control.gbuffer.pixels] @ LUMINANCE_WEIGHTS
