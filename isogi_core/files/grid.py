@@ -72,6 +72,11 @@ def srgb_bytes(linear: np.ndarray) -> np.ndarray:
     return np.asarray(curve * 255.0 + 0.5, np.uint8)
 
 
+Periodic = tuple[bool, bool, bool]
+"""Whether a grid is one period of a field that repeats along x, y, z."""
+
+APERIODIC: Periodic = (False, False, False)
+
 SINGLE_MOMENT = (0, 1)
 """The moment of what is no series in time."""
 
@@ -89,7 +94,10 @@ class Grid:
     ``moment`` of a series in time: which step it is, and of how many; ``unchosen`` where it is the
     first because nobody chose one. ``labels`` are named ones of a segmentation, None where the file
     does not say that it is one. ``read_as`` says in a line what the source was taken for, see the
-    function of that name.
+    function of that name. It is one cell of a field that is ``periodic`` along some axes: the voxel
+    after the last one is the first. ``level`` is the isovalue that the source names, and
+    ``deviations`` how many standard deviations above its mean a map of its kind is shown; None
+    without one.
     """
 
     shape: Shape
@@ -104,6 +112,9 @@ class Grid:
     unchosen: bool = False
     labels: tuple[LabelName, ...] | None = None
     read_as: str = ""
+    periodic: Periodic = APERIODIC
+    level: float | None = None
+    deviations: float | None = None
 
     @classmethod
     def of(cls, array: np.ndarray, spacing: Sequence[float] = (1.0, 1.0, 1.0)) -> "Grid":
@@ -141,6 +152,7 @@ class Grid:
             stamp=partial(_of_region, self.stamp, region),
             affine=Affine.of(rows, self.affine.letters if self.affine else ""),
             notes=(*self.notes, note),
+            periodic=APERIODIC,
         )
 
     def raw(self, region: "Region | None") -> "Grid":

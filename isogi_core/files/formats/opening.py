@@ -17,6 +17,7 @@ from isogi_core.files.formats import (
     nrrd,
     tiff,
 )
+from isogi_core.files.formats.chemistry import cube, opendx, vasp, xsf
 from isogi_core.files.formats.source import FILE_CHOICES, Reader, Source
 from isogi_core.files.grid import Grid
 
@@ -68,12 +69,12 @@ def sort_of(head: bytes, suffix: str = "") -> str:
     )
 
 
-HEAD_BYTES = 544
+HEAD_BYTES = 2048
 """Bytes by which a kind is told."""
 
 KNOWN_KINDS = (
     "NRRD, NIfTI, DICOM, TIFF, MRC, HDF5, NetCDF, NumPy, MGH, Analyze, AFNI, MINC, "
-    "MetaImage, VTI or Zarr"
+    "MetaImage, VTI, Gaussian cube, CHGCAR, OpenDX, XSF or Zarr"
 )
 
 
@@ -103,6 +104,10 @@ def opener_for(head: bytes, unpacked: bytes, suffix: str) -> Reader | None:
             b"NDims" in head or b"ObjectType" in head or head.startswith(b"# vtk DataFile"),
             image_files.open_itk,
         ),
+        (xsf.is_xsf(unpacked), xsf.open_xsf),
+        (opendx.is_dx(unpacked), opendx.open_dx),
+        (cube.is_cube(unpacked), cube.open_cube),
+        (vasp.is_vasp(unpacked), vasp.open_vasp),
         (suffix in (".dcm", ".ima"), dicom.open_dicom),
         (suffix == ".vti", image_files.open_vti),
         (suffix in image_files.ITK_SUFFIXES, image_files.open_itk),
