@@ -148,7 +148,7 @@ meant.
 """
 
 
-UNMEASURED_FIELDS = ("voxels", "orientation", "moment", "segmented")
+UNMEASURED_FIELDS = ("voxels", "orientation", "moment", "segmented", "level", "deviations")
 """Fields of a volume that are no facts of its voxels, which are kept with these."""
 
 
@@ -167,7 +167,7 @@ class Volume:
     where the box lies in the world; light does not depend on it, but on where the world's lights
     are in the box. It is the ``moment`` of a series in time: which step it is, and of how many. It
     is ``segmented`` where it is the field of a segmentation's labels, as its file says or the
-    scene.
+    scene. ``level`` and ``deviations`` are those of its ``Grid``.
     """
 
     voxels: np.ndarray
@@ -187,6 +187,8 @@ class Volume:
     orientation: Orientation = PLAIN_ORIENTATION
     moment: tuple[int, int] = (0, 1)
     segmented: bool = False
+    level: float | None = None
+    deviations: float | None = None
 
     @property
     def shape(self) -> tuple[int, int, int]:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import SceneError
-from isogi_core.files.scene_file import DEFAULT_DEMO, SceneSource, Settings, find_source
+from isogi_core.files.scene_file import DEFAULT_DEMO, SceneSource, Settings, find_source, is_number
 from isogi_core.kernels.shading.lattice import DEFAULT_CHUNK_SIDE
 from isogi_core.kernels.tracing.field import RAY_OFFSET_VOXELS
 from isogi_core.kernels.transport.harmonics import MAX_ORDER
@@ -29,6 +29,7 @@ from isogi_core.plan.lighting import SceneLighting, read_lighting
 from isogi_core.plan.lobe_choice import MANY_LOBES_SEARCHED as MOST_LOBES
 from isogi_core.plan.planner import plan_scene
 from isogi_core.plan.scene import CHUNK_SIDES, NORMAL_KINDS, Scene, SceneSettings
+from isogi_core.plan.starts import Start, find_start, sign_albedo, sign_name
 from isogi_core.plan.surfaces import SceneSurfaces, read_surfaces
 from isogi_core.plan.volumes.colours import colours_of_labels, find_table, read_colours
 from isogi_core.plan.volumes.labels import ALL_LABELS, LABEL_ISOVALUE, find_labels
@@ -87,7 +88,12 @@ def open_whole(settings: Settings, progress: Progress) -> tuple[Settings, Volume
     """
     whole = open_volume(settings, progress)
     settings = with_labels(settings, whole)
-    return settings, right_side_out(settings, whole, progress)
+    settings, start = with_start(settings, whole)
+    whole = right_side_out(settings, whole, progress)
+    if start is not None:
+        notes = (*whole.orientation.notes, start.why)
+        whole = replace(whole, orientation=replace(whole.orientation, notes=notes))
+    return settings, whole
 
 
 def scene_around(
@@ -168,6 +174,39 @@ def with_labels(settings: Settings, whole: Volume) -> Settings:
     return Settings(
         replace(source, document={**source.document, "labels": ALL_LABELS}), settings.known
     )
+
+
+ONE_SURFACE_SETTINGS = (
+    *("surfaces", "albedo", "albedos", "clear", "transmission", "material", "shine", "rotating"),
+    *("labels", "isovalues", "solid", "representation", "order", "indirect_order", "bounces"),
+)
+"""Settings of a scene that says itself how its surface is: no second one is pinned then."""
+
+
+def with_start(settings: Settings, whole: Volume) -> tuple[Settings, Start | None]:
+    """The settings of the scene, which say from now on where it starts if Otsu's threshold is no
+    good start, and pin the surface of the other sign; and that start, None if the scene says it.
+
+    A series in time starts at one isovalue for all steps: Otsu's threshold.
+    """
+    document = settings.source.document
+    demo = settings.text("volume", DEFAULT_DEMO).startswith("demo:")
+    if demo or whole.moment[1] > 1 or find_labels(settings) is not None:
+        return settings, None
+    start = find_start(whole, otsu(*whole.histogram()))
+    if start is None:
+        return settings, None
+    changes: dict[str, Any] = {}
+    if "isovalue" not in document and "isovalues" not in document:
+        changes["isovalue"] = start.isovalue
+    shown = document.get("isovalue", start.isovalue)
+    alone = any(key in document for key in ONE_SURFACE_SETTINGS) or not is_number(shown)
+    low, high = whole.value_range
+    if start.signed and not alone and shown and low <= -shown <= high:
+        pinned = {"isovalue": -shown, "albedo": sign_albedo(-shown), "name": sign_name(-shown)}
+        changes |= {"albedo": sign_albedo(shown), "surfaces": [pinned]}
+    known = Settings(replace(settings.source, document={**document, **changes}), settings.known)
+    return known, start if "isovalue" in changes else None
 
 
 def colours_by_data(settings: Settings, whole: Volume) -> SurfaceColours | None:

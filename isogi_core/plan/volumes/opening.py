@@ -108,7 +108,12 @@ def open_volume(
             straight, notes=(*straight.notes, *((PROPOSED.format(count=count),) if count else ()))
         )
         return replace(
-            volume, orientation=Orientation.of(straight), moment=moment, segmented=segmented
+            volume,
+            orientation=Orientation.of(straight),
+            moment=moment,
+            segmented=segmented,
+            level=grid.level,
+            deviations=grid.deviations,
         )
     if name.removeprefix("demo:") not in DEMOS:
         raise VolumeError(

@@ -12,6 +12,7 @@ from functools import partial
 import numpy as np
 
 from isogi_core.errors import VolumeError
+from isogi_core.files.formats.chemistry.levels import level_in
 from isogi_core.files.formats.chemistry.sets import pick_set, turned
 from isogi_core.files.formats.chemistry.text import Text, text_of
 from isogi_core.files.formats.source import Source, reader
@@ -26,13 +27,6 @@ _HEAD = re.compile(
     rb"[^\n]*\n[^\n]*\n" + _AXIS + rb"(?:[ \t]+\d+)?[ \t]*\r?\n" + 2 * (_AXIS + rb"[ \t]*\r?\n")
 )
 """Two lines of comment, then atoms and origin, then counts and steps along the axes."""
-
-_LEVEL = re.compile(
-    r"isocontour range for [\d.]+ ?% of the density: \(([-+\d.eE]+), ?([-+\d.eE]+)\)"
-    r"|\b(?:isovalue|isolevel|contour level)s?\b\s*[:=]?\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)",
-    re.IGNORECASE,
-)
-"""How a comment names an isovalue: Psi4 names those that hold a share of the density."""
 
 MOST_ATOMS = 1 << 24
 
@@ -136,18 +130,6 @@ def _orbitals(text: Text) -> tuple[str, ...]:
     if not words or len(words) != int(words[0]) + 1:
         raise VolumeError(f"'{text.name}' lists its orbitals as '{' '.join(words)[:60]}': mend it.")
     return tuple(words[1:])
-
-
-def level_in(comments: str) -> float | None:
-    """The isovalue that ``comments`` of a file name, None if they name none."""
-    found = _LEVEL.search(comments)
-    if found is None:
-        return None
-    try:
-        levels = [float(each) for each in found.groups() if each is not None]
-    except ValueError:
-        return None
-    return max(levels, key=abs) if np.isfinite(levels).all() else None
 
 
 def _slabs(source: Source, field: int) -> Iterator[np.ndarray]:

@@ -1,0 +1,95 @@
+"""First isovalues of fields whose histogram has no two classes: orbitals, densities, maps."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from isogi_core.files.formats.chemistry.levels import level_in
+from isogi_core.model.volume import make_volume
+from isogi_core.plan.assembly import load_scene, otsu
+from isogi_core.plan.starts import SHARE, Start, find_start
+
+X, Y, Z = np.mgrid[-1:1:32j, -1:1:32j, -1:1:32j].transpose(0, 3, 2, 1)
+R = np.sqrt(X**2 + Y**2 + Z**2)
+ORBITAL = (X * np.exp(-8.0 * R)).astype(np.float32)
+DENSITY = (np.exp(-12.0 * R) * 80.0 + np.exp(-3.0 * R) * 0.5).astype(np.float32)
+
+
+def start_of(field: np.ndarray) -> Start | None:
+    volume = make_volume(field)
+    return find_start(volume, otsu(*volume.histogram()))
+
+
+def test_an_orbital_starts_with_both_lobes(tmp_path: Path) -> None:
+    np.save(tmp_path / "p.npy", ORBITAL)
+    scene = load_scene(tmp_path / "p.npy")
+    squares = ORBITAL.astype(float) ** 2
+    inside = squares[np.abs(ORBITAL) > scene.isovalue].sum() / squares.sum()
+    assert abs(inside - SHARE) < 0.02
+    assert [each.isovalue for each in scene.surfaces.pinned] == [-scene.isovalue]
+    assert scene.surfaces.albedo[2] > scene.surfaces.albedo[0]
+    assert scene.surfaces.pinned[0].albedo[0] > scene.surfaces.pinned[0].albedo[2]
+    assert "both signs" in scene.volume.orientation.notes[-1]
+
+
+def test_the_negative_lobe_has_its_own_colour(tmp_path: Path) -> None:
+    np.save(tmp_path / "p.npy", ORBITAL)
+    scene = load_scene(tmp_path / "p.npy", isovalue=-0.01)
+    assert scene.surfaces.pinned[0].isovalue == 0.01
+    assert scene.surfaces.albedo[0] > scene.surfaces.albedo[2]
+
+
+@pytest.mark.parametrize("setting", [{"albedo": 0.5}, {"isovalue": 0}, {"rotating": True}])
+def test_a_scene_that_says_its_surface_keeps_it(tmp_path: Path, setting: dict[str, float]) -> None:
+    np.save(tmp_path / "p.npy", ORBITAL)
+    assert not load_scene(tmp_path / "p.npy", **setting).surfaces.pinned
+
+
+def test_a_peaked_density_starts_by_its_mass() -> None:
+    start = start_of(DENSITY)
+    assert start is not None
+    assert not start.signed
+    share = DENSITY[start.isovalue < DENSITY].sum(dtype=float) / DENSITY.sum(dtype=float)
+    assert abs(share - SHARE) < 0.02
+
+
+@pytest.mark.parametrize(
+    "field",
+    [
+        np.sin(6 * X) * np.cos(6 * Y) + np.sin(6 * Y) * np.cos(6 * Z) + np.sin(6 * Z),  # a gyroid
+        R - 0.6,  # distances to a ball
+        np.where(R < 0.3, 5.0, 0.0),  # a pocket in an empty grid
+        np.clip(0.7 - R, 0.0, 0.2),  # a ball with a soft edge
+        (127 * ORBITAL / ORBITAL.max()).astype(np.int8),
+    ],
+)
+def test_other_fields_start_at_the_threshold(field: np.ndarray) -> None:
+    assert start_of(field) is None
+
+
+def test_a_map_starts_by_its_deviations(tmp_path: Path) -> None:
+    mrcfile = pytest.importorskip("mrcfile")
+    noise = np.random.default_rng(3).normal(0.0, 0.1, R.shape)
+    density = (np.exp(-(R**2) / 0.1) + noise).astype(np.float32)
+    with mrcfile.new(tmp_path / "map.mrc") as made:
+        made.set_data(density)
+        made.header.ispg = 1
+    scene = load_scene(tmp_path / "map.mrc")
+    assert scene.isovalue == pytest.approx(density.mean() + 3.0 * density.std(), rel=0.01)
+    assert "3 σ above the mean" in scene.volume.orientation.notes[-1]
+
+
+def test_the_isovalue_of_a_file_comes_first(tmp_path: Path) -> None:
+    mrcfile = pytest.importorskip("mrcfile")
+    with mrcfile.new(tmp_path / "map.mrc") as made:
+        made.set_data(DENSITY)
+        made.add_label("contour level: 0.25")
+    assert load_scene(tmp_path / "map.mrc").isovalue == 0.25
+
+
+def test_comments_name_isovalues() -> None:
+    psi4 = "Property: Psi_a. Isocontour range for 85% of the density: (0.0300541,-0.030054)"
+    assert level_in(psi4) == 0.0300541
+    assert level_in("a level of theory, 6-31G") is None
+    assert level_in("Isovalue = 2.5e-3") == 2.5e-3
