@@ -315,7 +315,7 @@ def _set_straight(grid: Grid, steps: tuple[float, ...]) -> Grid:
     """A right-handed grid with the spacing ``steps``, resampled where its axes are skewed."""
     assert grid.affine is not None, "on_right_angles has asked"
     array = grid.affine.array
-    rotation, skewed = _decompose(array[:, :3])
+    rotation, skewed = decompose(array[:, :3])
     last = np.array(grid.shape[::-1]) - 1.0
     off = np.abs(skewed - np.diag(np.diag(skewed))) @ last / np.diag(skewed)
     if off.max() <= MAX_SKEW_VOXELS:
@@ -326,7 +326,7 @@ def _set_straight(grid: Grid, steps: tuple[float, ...]) -> Grid:
     return _resampled(grid, rotation, skewed)
 
 
-def _decompose(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def decompose(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A rotation and an upper triangle with a positive diagonal, whose product is the ``matrix``;
     (3, 3) each.
 

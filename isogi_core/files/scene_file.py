@@ -343,15 +343,19 @@ def labels_as_volume(document: Mapping[str, Any], name: str) -> Mapping[str, Any
 
 LYING = (
     *("axes", "solid", "smooth", "pieces", "labels", "raw", "environment", "cut"),
+    *("periodic", "repeat"),
     *CHANGING_PARAMETERS,
 )
 """Settings that may follow the # of a target: how its volume lies, which side of the isovalue is
-solid, how far it is smoothed, whether its values are labels, its light, what is cut away, and what
-changes it as views do.
+solid, how far it is smoothed, whether its values are labels, its light, what is cut away, whether
+it repeats and how often, and what changes it as views do.
 """
 
 NUMBERS_LYING = ("smooth", "pieces")
 """Settings of LYING that are numbers."""
+
+LISTS_LYING = ("periodic", "repeat")
+"""Settings of LYING that are lists of TOML, written with or without brackets."""
 
 
 def split_settings(target: str) -> tuple[str, dict[str, Any]]:
@@ -367,6 +371,9 @@ def split_settings(target: str) -> tuple[str, dict[str, Any]]:
     for key in (each for each in NUMBERS_LYING if each in told):
         with suppress(ValueError):  # a text stays, which the setting refuses
             told[key] = int(told[key]) if told[key].isdecimal() else float(told[key])
+    for key in (each for each in LISTS_LYING if each in told):
+        with suppress(ValueError):
+            told[key] = tomllib.loads(f"it = [{told[key].strip('[]')}]")["it"]
     rest = "&".join(each for each in part.split("&") if each.partition("=")[0] not in LYING)
     return f"{place}#{rest}" if rest else place, told
 
@@ -383,6 +390,8 @@ VOXEL_SETTINGS = (
     "smooth",
     "pieces",
     "axes",
+    "periodic",
+    "repeat",
     "volumes",
     *PART_SETTINGS,
 )
@@ -501,6 +510,27 @@ class Settings:
         if value is None:
             return None
         return tuple(map(float, value))
+
+    def flags(self, key: str, length: int) -> tuple[bool, ...] | None:
+        """A list of ``length`` times true or false, or None."""
+        value = self._read(
+            key,
+            lambda value: _is_list(value, length) and all(isinstance(each, bool) for each in value),
+            f"a list of {length} times true or false",
+        )
+        return None if value is None else tuple(value)
+
+    def counts(self, key: str, length: int, high: int) -> tuple[int, ...] | None:
+        """A list of ``length`` whole numbers from 1 to ``high``, or None."""
+        value = self._read(
+            key,
+            lambda value: (
+                _is_list(value, length)
+                and all(type(each) is int and 1 <= each <= high for each in value)
+            ),
+            f"a list of {length} whole numbers from 1 to {high}",
+        )
+        return None if value is None else tuple(value)
 
     def spans(self, key: str, length: int) -> tuple[tuple[int, int], ...] | None:
         """A list of ``length`` pairs of ascending whole numbers from 0 on, or None."""

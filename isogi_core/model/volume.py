@@ -148,8 +148,23 @@ meant.
 """
 
 
-UNMEASURED_FIELDS = ("voxels", "orientation", "moment", "segmented", "level", "deviations")
+UNMEASURED_FIELDS = ("voxels", "orientation", "moment", "segmented", "level", "deviations", "cell")
 """Fields of a volume that are no facts of its voxels, which are kept with these."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One cell of a field that repeats along the axes that are ``periodic``: its first voxels along
+    x, y, z, and those after its last, which are the first ones again; ``spans``.
+    """
+
+    spans: tuple[tuple[int, int], tuple[int, int], tuple[int, int]]
+    periodic: tuple[bool, bool, bool]
+
+    def of(self, voxels: np.ndarray) -> np.ndarray:
+        """The ``voxels`` (z, y, x) of the cell."""
+        x, y, z = (slice(*span) for span in self.spans)
+        return voxels[z, y, x]
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,7 +182,8 @@ class Volume:
     where the box lies in the world; light does not depend on it, but on where the world's lights
     are in the box. It is the ``moment`` of a series in time: which step it is, and of how many. It
     is ``segmented`` where it is the field of a segmentation's labels, as its file says or the
-    scene. ``level`` and ``deviations`` are those of its ``Grid``.
+    scene. ``level`` and ``deviations`` are those of its ``Grid``. It has a ``cell`` where its field
+    repeats.
     """
 
     voxels: np.ndarray
@@ -189,6 +205,7 @@ class Volume:
     segmented: bool = False
     level: float | None = None
     deviations: float | None = None
+    cell: Cell | None = None
 
     @property
     def shape(self) -> tuple[int, int, int]:

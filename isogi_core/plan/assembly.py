@@ -259,7 +259,7 @@ def border_above(volume: Volume, isovalue: float) -> float:
     """The share of the box's border above an ``isovalue``; faces across x are left out: they are
     all over the file.
     """
-    voxels = volume.voxels
+    voxels = volume.voxels if volume.cell is None else volume.cell.of(volume.voxels)
     level = volume.normalise_isovalue(isovalue)
     faces = (voxels[0], voxels[-1], voxels[:, 0], voxels[:, -1])
     return sum(int((face > level).sum()) for face in faces) / sum(face.size for face in faces)

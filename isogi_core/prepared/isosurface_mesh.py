@@ -244,12 +244,18 @@ class SurfaceSize:
     is_open: bool
 
 
-def surface_size(voxels: np.ndarray, isovalue: Isovalue, matrix: np.ndarray) -> SurfaceSize:
+def surface_size(
+    voxels: np.ndarray,
+    isovalue: Isovalue,
+    matrix: np.ndarray,
+    periodic: tuple[bool, bool, bool] = (False, False, False),
+) -> SurfaceSize:
     """The size of the surface of ``voxels`` (nz, ny, nx) at a normalised isovalue; solid is what
     lies above.
 
     ``matrix`` (3, 3) takes steps between voxels, x first, to the world. Cells beside a voxel that
-    is NaN have no surface, and are not solid.
+    is NaN have no surface, and are not solid. Sides across axes that are ``periodic`` are open to
+    themselves alone.
     """
     level = float(isovalue)
     even = voxels[tuple(slice(n - 1 + n % 2) for n in voxels.shape)]
@@ -260,7 +266,11 @@ def surface_size(voxels: np.ndarray, isovalue: Isovalue, matrix: np.ndarray) -> 
     size = _plain(voxels, level, matrix) + 4.0 / 3.0 * finer
     error = (np.abs(finer) + np.abs(_plain(even, level, matrix) - every_other)) / 3.0
     return SurfaceSize(
-        float(size[0]), float(error[0]), float(size[1]), float(error[1]), _reaches(voxels, level)
+        float(size[0]),
+        float(error[0]),
+        float(size[1]),
+        float(error[1]),
+        _reaches(voxels, level, periodic),
     )
 
 
@@ -295,10 +305,16 @@ def _sums(
     return total
 
 
-def _reaches(voxels: np.ndarray, level: float) -> bool:
-    """Whether what lies above a level reaches a side of the volume."""
-    sides = (voxels[0], voxels[-1], voxels[:, 0], voxels[:, -1], voxels[..., 0], voxels[..., -1])
-    return any(bool((side > level).any()) for side in sides)
+def _reaches(voxels: np.ndarray, level: float, periodic: tuple[bool, bool, bool]) -> bool:
+    """Whether what lies above a level reaches a side of the volume, but for those across axes that
+    are ``periodic``.
+    """
+    return any(
+        bool((side > level).any())
+        for axis, along in enumerate(periodic[::-1])
+        if not along
+        for side in np.moveaxis(voxels, axis, 0)[[0, -1]]
+    )
 
 
 def _halved(corners: np.ndarray) -> np.ndarray:

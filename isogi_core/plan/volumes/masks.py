@@ -281,6 +281,19 @@ def cut_away(volume: Volume, text: str) -> Volume:
     digest = cut_digest(volume, text)
     if digest == volume.digest:
         return volume
+    return kept_of(volume, left, digest)
+
+
+def cut_cell(volume: Volume, left: Ranges) -> Volume:
+    """A ``volume`` of which the voxels ``left`` are shown alone, as if planes cut the rest away."""
+    parts = f"{volume.digest} cell {left} {CUT_AWAY_VALUE}"
+    return kept_of(volume, left, hashlib.blake2b(parts.encode(), digest_size=16).hexdigest())
+
+
+def kept_of(volume: Volume, left: Ranges, digest: str) -> Volume:
+    """A ``volume`` with CUT_AWAY_VALUE in place of the voxels that are not ``left``, by another
+    ``digest``.
+    """
     known = replace(volume.counted(), digest=digest)
     if volume.voxels.nbytes <= UNMAPPED_SHARE * budget():
         return replace(known, voxels=np.concatenate(list(slabs_left(volume, left))))

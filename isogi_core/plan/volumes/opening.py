@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import SceneError, VolumeError, readable
+from isogi_core.files.cells import MOST_REPEATED
 from isogi_core.files.formats.opening import open_file, split_part
-from isogi_core.files.grid import Grid, Region, on_right_angles
+from isogi_core.files.grid import APERIODIC, Grid, Region
 from isogi_core.files.mappings import UNMAPPED_SHARE, budget
 from isogi_core.files.packed_files import in_short, reason_of
 from isogi_core.files.packing import without_fill
@@ -32,8 +33,9 @@ from isogi_core.plan.volumes.labels import (
     solid_of_labels,
 )
 from isogi_core.plan.volumes.masks import cut_out, place, read_tables
+from isogi_core.plan.volumes.periods import closed, read_cells, trimmed, upright
 from isogi_core.plan.volumes.pieces import MOST_PIECE, without_small_pieces
-from isogi_core.plan.volumes.smoothing import smoothed
+from isogi_core.plan.volumes.smoothing import gaussian_reach, smoothed
 
 COPY_FORMAT = 2
 """Version of the copies: increased when the same file gives other voxels."""
@@ -76,7 +78,11 @@ def open_volume(
             grid = solid_of_labels(grid, labels or (), settings)
         elif "missing" not in settings.source.document:
             grid = without_fill(grid)
-        straight = on_right_angles(grid, spacing)
+        cells = read_cells(settings, grid)
+        if segmented:
+            cells = replace(cells, periodic=APERIODIC)
+        reach = gaussian_reach(smooth) if smooth else 0
+        straight, shown = upright(grid, cells, spacing, reach)
         if tables and spacing and grid.affine is not None:
             raise SceneError(
                 "spacing moves the volume away from its masks: leave it out, or add axes = 'raw'."
@@ -88,6 +94,8 @@ def open_volume(
         if smooth:
             straight = smoothed(straight, smooth, missing)
             missing = ()  # these are holes by now
+        if shown is not None:
+            straight, shown = trimmed(straight, shown, reach)
         if pieces and segmented:
             raise SceneError(
                 f"The volume '{stem}' shows labels: hide labels, and leave pieces out."
@@ -100,6 +108,8 @@ def open_volume(
         if masks:
             straight = cut_out(straight, masks, solid, missing)
         volume = volume_of(straight, solid, stem, missing, progress)
+        if shown is not None:
+            volume = closed(volume, shown)
         if segmented:
             count = 0
         else:
@@ -119,13 +129,15 @@ def open_volume(
         raise VolumeError(
             f"There is no {name}: choose one of {', '.join('demo:' + key for key in DEMOS)}."
         )
-    given = spacing or missing or chosen or raw or tables or pieces
+    repeating = settings.flags("periodic", 3) or settings.counts("repeat", 3, MOST_REPEATED)
+    given = spacing or missing or chosen or raw or tables or pieces or repeating
     if given or labels is not None or solid != "above":
         made = "is made with spacing 1, solid above and nothing missing"
         named = ", ".join(
             f"'{key}'"
             for key in (
                 *("spacing", "solid", "missing", "axes", "volumes", "labels", "pieces"),
+                *("periodic", "repeat"),
                 *chosen,
             )
         )
