@@ -83,8 +83,8 @@ def set_side_by_side(
     flipped = np.linalg.det(matrix) < 0.0
     if flipped:
         # x is read the other way round, from the end of the last cell on
-        steps = grid.shape[2] * cells.repeat[0] if cells.periodic[0] else grid.shape[2] - 1
-        origin = origin + matrix[:, 0] * steps
+        end = grid.shape[2] * cells.repeat[0] if cells.periodic[0] else grid.shape[2] - 1
+        origin = origin + matrix[:, 0] * end
         matrix = matrix * np.array([-1.0, 1.0, 1.0])
     rotation, skewed = decompose(matrix)
     steps = np.diag(skewed)

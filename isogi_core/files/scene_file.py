@@ -372,11 +372,22 @@ def split_settings(target: str) -> tuple[str, dict[str, Any]]:
         with suppress(ValueError):  # a text stays, which the setting refuses
             told[key] = int(told[key]) if told[key].isdecimal() else float(told[key])
     for key in (each for each in LISTS_LYING if each in told):
-        with suppress(ValueError):
-            told[key] = tomllib.loads(f"it = [{told[key].strip('[]')}]")["it"]
+        told[key] = [_lying_element(each.strip()) for each in told[key].strip("[]").split(",")]
     rest = "&".join(each for each in part.split("&") if each.partition("=")[0] not in LYING)
     return f"{place}#{rest}" if rest else place, told
 
+
+def _lying_element(text: str) -> bool | int | str:
+    """An element of a list in a target: a text stays, which the setting refuses."""
+    if text in ("true", "false"):
+        return text == "true"
+    if text.isascii() and text.isdecimal() and len(text) < MAX_DIGITS:
+        return int(text)
+    return text
+
+
+MAX_DIGITS = 10
+"""Digits of a whole number in a list of a target, fewer than."""
 
 PART_SETTINGS = ("level", "channel", "time", "series", "raw", "region")
 """Settings of a scene that choose a part of its volume's file, or say what it holds."""

@@ -29,7 +29,7 @@ from isogi_core.plan.lighting import SceneLighting, read_lighting
 from isogi_core.plan.lobe_choice import MANY_LOBES_SEARCHED as MOST_LOBES
 from isogi_core.plan.planner import plan_scene
 from isogi_core.plan.scene import CHUNK_SIDES, NORMAL_KINDS, Scene, SceneSettings
-from isogi_core.plan.starts import Start, find_start, sign_albedo, sign_name
+from isogi_core.plan.starts import Start, both_signs, find_start
 from isogi_core.plan.surfaces import SceneSurfaces, read_surfaces
 from isogi_core.plan.volumes.colours import colours_of_labels, find_table, read_colours
 from isogi_core.plan.volumes.labels import ALL_LABELS, LABEL_ISOVALUE, find_labels
@@ -203,10 +203,9 @@ def with_start(settings: Settings, whole: Volume) -> tuple[Settings, Start | Non
     alone = any(key in document for key in ONE_SURFACE_SETTINGS) or not is_number(shown)
     low, high = whole.value_range
     if start.signed and not alone and shown and low <= -shown <= high:
-        pinned = {"isovalue": -shown, "albedo": sign_albedo(-shown), "name": sign_name(-shown)}
-        changes |= {"albedo": sign_albedo(shown), "surfaces": [pinned]}
+        changes |= both_signs(float(shown))
     known = Settings(replace(settings.source, document={**document, **changes}), settings.known)
-    return known, start if "isovalue" in changes else None
+    return known, None if "isovalue" in document else start
 
 
 def colours_by_data(settings: Settings, whole: Volume) -> SurfaceColours | None:

@@ -8,6 +8,7 @@ into its cubes, for 85 %). Cryo-EM and crystallography count standard deviations
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -46,18 +47,22 @@ NEGATIVE_ALBEDO = [0.85, 0.36, 0.14]
 """Linear RGB of both signs: blue and orange, which colour-blind people tell apart."""
 
 
-def sign_albedo(isovalue: float) -> list[float]:
-    """The albedo of the surface at an ``isovalue`` of a field of both signs."""
+def both_signs(isovalue: float) -> dict[str, Any]:
+    """Settings of a scene that shows a field of both signs at an ``isovalue`` and at minus that,
+    each sign in its colour.
+    """
+    pinned = {
+        "isovalue": -isovalue,
+        "albedo": _albedo(-isovalue),
+        "name": "positive" if isovalue < 0.0 else "negative",
+    }
+    return {"isovalue": isovalue, "albedo": _albedo(isovalue), "surfaces": [pinned]}
+
+
+def _albedo(isovalue: float) -> list[float]:
     if isovalue > 0.0:
         return POSITIVE_ALBEDO
     return NEGATIVE_ALBEDO
-
-
-def sign_name(isovalue: float) -> str:
-    """The name of that surface."""
-    if isovalue > 0.0:
-        return "positive"
-    return "negative"
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from isogi_core.files.formats.chemistry.levels import level_in
 from isogi_core.model.volume import make_volume
 from isogi_core.plan.assembly import load_scene, otsu
 from isogi_core.plan.starts import SHARE, Start, find_start
+from isogi_core.plan.variants import at_both_signs
 
 X, Y, Z = np.mgrid[-1:1:32j, -1:1:32j, -1:1:32j].transpose(0, 3, 2, 1)
 R = np.sqrt(X**2 + Y**2 + Z**2)
@@ -93,3 +94,14 @@ def test_comments_name_isovalues() -> None:
     assert level_in(psi4) == 0.0300541
     assert level_in("a level of theory, 6-31G") is None
     assert level_in("Isovalue = 2.5e-3") == 2.5e-3
+
+
+def test_another_isovalue_moves_both_lobes(tmp_path: Path) -> None:
+    np.save(tmp_path / "p.npy", ORBITAL)
+    scene = load_scene(tmp_path / "p.npy")
+    moved = at_both_signs(scene, 0.5 * scene.isovalue)
+    assert moved.isovalue == 0.5 * scene.isovalue
+    assert [each.isovalue for each in moved.surfaces.pinned] == [-moved.isovalue]
+    assert moved.volume is scene.volume
+    named = load_scene(tmp_path / "p.npy", surfaces=[{"isovalue": -0.02}])
+    assert at_both_signs(named, 0.01) is named

@@ -23,7 +23,7 @@ from isogi_core.files.scene_file import Settings
 from isogi_core.files.volume_copies import Draft, get_copy
 from isogi_core.model.value_survey import check, find_marks, survey, usable, usable_type
 from isogi_core.model.view import Plane, read_window
-from isogi_core.model.volume import UNMEASURED_FIELDS, Volume
+from isogi_core.model.volume import CUT_AWAY_VALUE, UNMEASURED_FIELDS, Volume
 
 MAX_VOLUME_TABLES = 8
 """Most tables [[volumes]] of a scene."""
@@ -245,15 +245,6 @@ def _to_world(grid: Grid) -> np.ndarray:
         rows = grid.affine.array
     return np.vstack([rows, [0.0, 0.0, 0.0, 1.0]])
 
-
-CUT_AWAY_VALUE = -8.0
-"""What voxels that are taken away hold, in units of voxels: those that are left are from 0 to 1,
-but for outliers.
-
-A face of the isovalue c lies (f - c) / (f - CUT_AWAY_VALUE) of a voxel before the last voxels left,
-f. Were it farther, faces would be flatter, and edges beside them rounder: normals are smoothed over
-four voxels.
-"""
 
 AXIS_TOLERANCE = 1e-6
 """How much a plane's normal may be off an axis of the voxels."""
