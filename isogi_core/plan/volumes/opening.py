@@ -33,7 +33,7 @@ from isogi_core.plan.volumes.labels import (
     solid_of_labels,
 )
 from isogi_core.plan.volumes.masks import cut_out, place, read_tables
-from isogi_core.plan.volumes.periods import closed, read_cells, trimmed, upright
+from isogi_core.plan.volumes.periods import closed, read_cells, repeated_beside, trimmed, upright
 from isogi_core.plan.volumes.pieces import MOST_PIECE, without_small_pieces
 from isogi_core.plan.volumes.smoothing import gaussian_reach, smoothed
 
@@ -194,8 +194,8 @@ def open_beside(settings: Settings, name: str) -> Grid:
             f"'{name}' has {grid.moment[1]} time steps: choose one, such as '{name}#time=0'."
         )
     if is_raw(settings):
-        return grid.raw(None)
-    return grid
+        return repeated_beside(settings, grid.raw(None), 0).raw(None)
+    return repeated_beside(settings, grid, 1)
 
 
 def _open_placed(base: Path, name: str, chosen: dict[str, Any]) -> tuple[Grid, str]:

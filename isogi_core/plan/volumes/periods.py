@@ -39,6 +39,18 @@ def read_cells(settings: Settings, grid: Grid) -> Cells:
     return Cells(periodic, (repeat[0], repeat[1], repeat[2]))
 
 
+def repeated_beside(settings: Settings, grid: Grid, margin: int) -> Grid:
+    """A ``grid`` of another volume of a scene: side by side as the scene's own cells are, and a
+    ``margin`` of voxels farther, if its file says that it repeats and the scene does not deny that.
+    """
+    if settings.flags("periodic", 3) == APERIODIC or not any(grid.periodic):
+        return grid
+    x, y, z = settings.counts("repeat", 3, MOST_REPEATED) or ONCE
+    repeat = tuple(n if along else 1 for n, along in zip((x, y, z), grid.periodic, strict=True))
+    cells = Cells(grid.periodic, (repeat[0], repeat[1], repeat[2]), margin)
+    return set_side_by_side(grid.loaded(), cells) or grid
+
+
 def are_faced(grid: Grid) -> bool:
     """Whether faces close the cells of a ``grid`` where its solid reaches them. The solid of the
     negative surface of a field of both signs is all that lies above it: such cells stay open.
