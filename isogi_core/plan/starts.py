@@ -17,7 +17,7 @@ from isogi_core.model.volume import CORE_LIMIT, Volume
 SAMPLED_VOXELS = 1 << 21
 """Number of voxels that are sampled, in whole layers."""
 
-SHARE = 0.85
+HELD_SHARE = 0.85
 """Share of a field's squares, or of a density, that its first surface holds."""
 
 NEAR_ZERO = 0.1
@@ -96,12 +96,12 @@ def find_start(volume: Volume, otsu: float) -> Start | None:
             isovalue,
             True,
             f"The field has both signs: its surfaces at {isovalue:g} and {-isovalue:g} start "
-            f"together, which hold {SHARE:.0%} of its square.",
+            f"together, which hold {HELD_SHARE:.0%} of its square.",
         )
     if is_peaked(values, otsu):
         isovalue = rounded(holding(values, np.maximum(values / values.max(), 0.0)))
         return Start(
-            isovalue, False, f"Starts at {isovalue:g}, which holds {SHARE:.0%} of the density."
+            isovalue, False, f"Starts at {isovalue:g}, which holds {HELD_SHARE:.0%} of the density."
         )
     return None
 
@@ -156,10 +156,10 @@ def of_deviations(values: np.ndarray, deviations: float, signed: bool) -> Start 
 
 
 def holding(values: np.ndarray, weights: np.ndarray) -> float:
-    """The value above which SHARE of all ``weights`` lies."""
+    """The value above which HELD_SHARE of all ``weights`` lies."""
     order = np.argsort(values)[::-1]
     summed = np.cumsum(weights[order])
-    return float(values[order][np.searchsorted(summed, SHARE * summed[-1])])
+    return float(values[order][np.searchsorted(summed, HELD_SHARE * summed[-1])])
 
 
 def rounded(value: float) -> float:
