@@ -280,3 +280,28 @@ def test_a_file_that_ends_early_is_refused(tmp_path: Path, name: str) -> None:
         path.write_text(whole[: int(share * len(whole))])
         with pytest.raises(VolumeError):
             open_file(path, {}).whole()
+
+
+@pytest.mark.parametrize("decimals", [1, 5, 11, 14])
+def test_numbers_written_alike_are_read_exactly(decimals: int) -> None:
+    rng = np.random.default_rng(decimals)
+    values = rng.normal(size=3000) * 10.0 ** rng.integers(-90, 90, 3000)
+    values[::7] = 0.0
+    words = [f"{value:.{decimals}E}" for value in values]
+    lines = "\n".join(" ".join(words[n : n + 6]) for n in range(0, len(words), 6)).encode()
+    for each in (lines, b" " + lines, lines + b"\n"):
+        found = text.scientific_numbers(each)
+        assert found is not None
+        np.testing.assert_array_equal(found, np.array(words, float))
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        *(b"1.25E-05 2.5", b"1.25E-05 2.50E-100", b"1.25E-05 12.5E-01", b"1.2E-05-1.2E-05"),
+        *(b"", b"E", b".E", b"1.2E5", b"1.2E+0", b"1.2D-05"),
+        *(b"1.25E-05 *.**E-05", b"1.25E-05 x1.25E-05"),
+    ],
+)
+def test_numbers_written_otherwise_are_left_to_the_parser(words: bytes) -> None:
+    assert text.scientific_numbers(words) is None
