@@ -215,12 +215,14 @@ ZARR_METADATA = ("zarr.json", ".zgroup", ".zarray", ".zattrs")
 class SceneSource:
     """A scene's document: enough for another process to build the same scene.
 
-    ``document`` is the parsed TOML; paths in it are relative to the folder ``base``.
+    ``document`` is the parsed TOML; paths in it are relative to the folder ``base``. ``found`` is
+    whether isogi chose its isovalue, and a second surface with it: see ``with_start``.
     """
 
     name: str
     document: Mapping[str, Any] = field(hash=False)
     base: Path
+    found: bool = False
 
 
 def find_source(target: str | Path | None, overrides: Mapping[str, Any]) -> SceneSource:

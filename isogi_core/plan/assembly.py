@@ -4,6 +4,7 @@ plan.
 
 import math
 import re
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -189,6 +190,7 @@ def with_start(settings: Settings, whole: Volume) -> tuple[Settings, Start | Non
 
     A series in time starts at one isovalue for all steps: Otsu's threshold.
     """
+    settings = without_start(settings, whole)
     document = settings.source.document
     demo = settings.text("volume", DEFAULT_DEMO).startswith("demo:")
     if demo or whole.moment[1] > 1 or find_labels(settings) is not None:
@@ -204,8 +206,32 @@ def with_start(settings: Settings, whole: Volume) -> tuple[Settings, Start | Non
     low, high = whole.value_range
     if start.signed and not alone and shown and low <= -shown <= high:
         changes |= both_signs(float(shown))
-    known = Settings(replace(settings.source, document={**document, **changes}), settings.known)
-    return known, None if "isovalue" in document else start
+    if "isovalue" in document:
+        return settings_with(settings, {**document, **changes}, settings.source.found), None
+    return settings_with(settings, {**document, **changes}, True), start
+
+
+def without_start(settings: Settings, whole: Volume) -> Settings:
+    """The settings of a scene that is opened anew, as at another step or smoothed, without a start
+    that was found before, if that lies outside of the values that there are now.
+    """
+    source = settings.source
+    if not source.found:
+        return settings
+    low, high = whole.value_range
+    shown = source.document["isovalue"]
+    signed = source.document.get("surfaces") == both_signs(shown)["surfaces"]
+    if low < shown < high and (not signed or low < -shown < high):
+        return settings
+    gone = both_signs(shown) if signed else {"isovalue": shown}
+    rest = {key: value for key, value in source.document.items() if key not in gone}
+    return settings_with(settings, rest, False)
+
+
+def settings_with(settings: Settings, document: Mapping[str, Any], found: bool) -> Settings:
+    """The ``settings`` of a scene with another ``document``; see ``SceneSource``."""
+    source = replace(settings.source, document=document, found=found)
+    return Settings(source, settings.known)
 
 
 def colours_by_data(settings: Settings, whole: Volume) -> SurfaceColours | None:

@@ -87,7 +87,8 @@ def find_start(volume: Volume, otsu: float) -> Start | None:
     low, high = volume.core
     level = volume.level
     if level is not None and low < level < high and (not signed or level != 0.0):
-        return Start(level, signed, f"Starts at {level:.6g}, which the file names.")
+        both = f" and {-level:.6g}" if signed else ""
+        return Start(level, signed, f"Starts at {level:.6g}{both}, as the file says.")
     if volume.deviations is not None:
         return of_deviations(values, volume.deviations, signed)
     if signed:

@@ -9,7 +9,7 @@ from isogi_core.files.formats.chemistry.levels import level_in
 from isogi_core.model.volume import make_volume
 from isogi_core.plan.assembly import load_scene, otsu
 from isogi_core.plan.starts import HELD_SHARE, Start, find_start
-from isogi_core.plan.variants import at_both_signs
+from isogi_core.plan.variants import at_both_signs, smoothed_by
 
 X, Y, Z = np.mgrid[-1:1:32j, -1:1:32j, -1:1:32j].transpose(0, 3, 2, 1)
 R = np.sqrt(X**2 + Y**2 + Z**2)
@@ -105,3 +105,15 @@ def test_another_isovalue_moves_both_lobes(tmp_path: Path) -> None:
     assert moved.volume is scene.volume
     named = load_scene(tmp_path / "p.npy", surfaces=[{"isovalue": -0.02}])
     assert at_both_signs(named, 0.01) is named
+
+
+def test_a_start_gives_way_to_values_that_are_gone(tmp_path: Path) -> None:
+    lobes = np.where(R < 0.2, np.sign(X), 0.0) * (1.0 - 5.0 * R)
+    np.save(tmp_path / "p.npy", lobes.astype(np.float32))
+    scene = load_scene(tmp_path / "p.npy")
+    assert scene.surfaces.pinned
+    smooth = smoothed_by(scene, 6.0, "smooth")
+    assert smooth.volume.value_range[1] < scene.isovalue
+    assert smooth.isovalues == scene.isovalues
+    slight = smoothed_by(scene, 0.3, "slight")
+    assert slight.source.document["surfaces"] == scene.source.document["surfaces"]

@@ -3,15 +3,19 @@
 from pathlib import Path
 from typing import Any
 
+import nrrd
 import numpy as np
 import pytest
 
 from isogi_core.errors import SceneError
 from isogi_core.files.cells import Cells, set_side_by_side
 from isogi_core.files.grid import Affine, Grid
+from isogi_core.files.scene_file import Settings
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.volumes.masks import cut_away
+from isogi_core.plan.volumes.opening import open_beside
 from isogi_core.prepared.isosurface_mesh import surface_size
+from server.inspect.inspection import stiffness_schema
 
 LATTICE = np.array([[4.0, 0.0, 0.0], [2.0, 3.5, 0.0], [0.5, -1.0, 6.0]])
 """Vectors of a triclinic lattice, rows."""
@@ -147,3 +151,33 @@ def test_a_target_says_how_often_it_repeats(tmp_path: Path) -> None:
     written(tmp_path)
     target = f"{tmp_path / 'cell.npy'}#periodic=true,true,false&repeat=2,1,1"
     assert load_scene(target).volume.size == (31, 15, 10)
+
+
+def test_what_is_cut_away_around_a_cell_is_not_inspected(tmp_path: Path) -> None:
+    found = stiffness_schema(written(tmp_path, periodic=list(EVERY), isovalue=3.5))
+    assert found.mark is None
+    assert found.surfaces[found.own].box == {}
+    alone = stiffness_schema(load_scene(tmp_path / "cell.npy", isovalue=3.5))
+    assert len(alone.surfaces[alone.own].box) == 6
+
+
+def test_colours_of_a_crystal_go_on_with_its_cells(tmp_path: Path) -> None:
+    grid = crystal((12, 10, 14))
+    values = grid.whole() + 5.0
+    header = {
+        "space dimension": 3,
+        "space directions": np.array(grid.affine.matrix).T if grid.affine else None,
+        "space origin": np.zeros(3),
+        "isogi periodic": "1 1 1",
+    }
+    for name, field in (("shape", values), ("colour", -values)):
+        nrrd.write(str(tmp_path / f"{name}.nrrd"), field, header, index_order="C")
+    tables = [{"file": "colour.nrrd", "use": "colour"}]
+    (tmp_path / "scene.toml").write_text('volume = "shape.nrrd"\nrepeat = [1, 2, 1]\n')
+    scene = load_scene(tmp_path / "scene.toml", volumes=tables)
+    assert scene.volume.cell is not None
+    settings = Settings(scene.source)
+    beside = open_beside(settings, "colour.nrrd")
+    own = scene.volume.offset + scene.volume.scale * scene.volume.voxels[1:-1, 1:-1, 1:-1]
+    np.testing.assert_allclose(beside.whole()[1:-1, 1:-1, 1:-1], -own, atol=1e-5)
+    assert beside.shape == scene.volume.shape

@@ -70,7 +70,7 @@ def open_cube(source: Source) -> Grid:
         Affine.of(np.column_stack([cube.steps.T, cube.origin])),
         cube.unit,
         notes,
-        read_as=read_as("Gaussian cube", np.dtype(np.float64), f"its axes, in {cube.unit}"),
+        read_as=read_as("Gaussian cube", np.dtype(np.float64), "its axes"),
         level=cube.level,
     )
 

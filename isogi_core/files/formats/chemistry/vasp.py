@@ -86,7 +86,7 @@ def open_vasp(source: Source) -> Grid:
     known = read_as(
         "VASP " + ("density" if divided else "potential"),
         np.dtype(np.float64),
-        "the cell of its crystal, in Å",
+        "the cell of its crystal",
         scale,
     )
     return Grid(
