@@ -188,18 +188,20 @@ def with_start(settings: Settings, whole: Volume) -> tuple[Settings, Start | Non
     """The settings of the scene, which say from now on where it starts if Otsu's threshold is no
     good start, and pin the surface of the other sign; and that start, None if the scene says it.
 
-    A series in time starts at one isovalue for all steps: Otsu's threshold.
+    Otsu's threshold stays the start of a series in time, which is one for all steps, and of a scene
+    that says a range of isovalues.
     """
     settings = without_start(settings, whole)
     document = settings.source.document
     demo = settings.text("volume", DEFAULT_DEMO).startswith("demo:")
-    if demo or whole.moment[1] > 1 or find_labels(settings) is not None:
+    left = demo or "isovalues" in document or whole.moment[1] > 1
+    if left or find_labels(settings) is not None:
         return settings, None
     start = find_start(whole, otsu(*whole.histogram()))
     if start is None:
         return settings, None
     changes: dict[str, Any] = {}
-    if "isovalue" not in document and "isovalues" not in document:
+    if "isovalue" not in document:
         changes["isovalue"] = start.isovalue
     shown = document.get("isovalue", start.isovalue)
     alone = any(key in document for key in ONE_SURFACE_SETTINGS) or not is_number(shown)

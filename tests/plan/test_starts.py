@@ -1,6 +1,7 @@
 """First isovalues of fields whose histogram has no two classes: orbitals, densities, maps."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -41,8 +42,11 @@ def test_the_negative_lobe_has_its_own_colour(tmp_path: Path) -> None:
     assert scene.surfaces.albedo[0] > scene.surfaces.albedo[2]
 
 
-@pytest.mark.parametrize("setting", [{"albedo": 0.5}, {"isovalue": 0}, {"rotating": True}])
-def test_a_scene_that_says_its_surface_keeps_it(tmp_path: Path, setting: dict[str, float]) -> None:
+@pytest.mark.parametrize(
+    "setting",
+    [{"albedo": 0.5}, {"isovalue": 0}, {"rotating": True}, {"isovalues": [-0.01, 0.01]}],
+)
+def test_a_scene_that_says_its_surface_keeps_it(tmp_path: Path, setting: dict[str, Any]) -> None:
     np.save(tmp_path / "p.npy", ORBITAL)
     assert not load_scene(tmp_path / "p.npy", **setting).surfaces.pinned
 
