@@ -179,7 +179,7 @@ def with_labels(settings: Settings, whole: Volume) -> Settings:
 
 ONE_SURFACE_SETTINGS = (
     *("surfaces", "albedo", "albedos", "clear", "transmission", "material", "shine", "rotating"),
-    *("labels", "isovalues", "solid", "representation", "order", "indirect_order", "bounces"),
+    *("labels", "solid", "representation", "order", "indirect_order", "bounces", "lobes"),
 )
 """Settings of a scene that says itself how its surface is: no second one is pinned then."""
 
@@ -206,8 +206,10 @@ def with_start(settings: Settings, whole: Volume) -> tuple[Settings, Start | Non
     shown = document.get("isovalue", start.isovalue)
     alone = any(key in document for key in ONE_SURFACE_SETTINGS) or not is_number(shown)
     low, high = whole.value_range
-    if start.signed and not alone and shown and low <= -shown <= high:
-        changes |= both_signs(float(shown))
+    if start.signed and not alone and find_table(settings) is None and low <= -shown <= high:
+        changes |= both_signs(float(shown)) if shown else {}
+    elif start.signed:
+        start = start.one_sign
     if "isovalue" in document:
         return settings_with(settings, {**document, **changes}, settings.source.found), None
     return settings_with(settings, {**document, **changes}, True), start

@@ -7,7 +7,7 @@ what holds a share of the whole: of an orbital's square, or of a density (Psi4 w
 into its cubes, for 85 %). Cryo-EM and crystallography count standard deviations about the mean.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -74,6 +74,16 @@ class Start:
     isovalue: float
     signed: bool
     why: str
+
+    @property
+    def one_sign(self) -> "Start":
+        """The start of a field of both signs in a scene that shows one surface."""
+        shown, other = f"{self.isovalue:.6g}", f"{-self.isovalue:.6g}"
+        return replace(
+            self,
+            why=f"The field has both signs: its surface at {shown} is shown, and a table "
+            f"[[surfaces]] with isovalue = {other} pins the other.",
+        )
 
 
 def find_start(volume: Volume, otsu: float) -> Start | None:

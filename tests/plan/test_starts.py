@@ -48,7 +48,12 @@ def test_the_negative_lobe_has_its_own_colour(tmp_path: Path) -> None:
 )
 def test_a_scene_that_says_its_surface_keeps_it(tmp_path: Path, setting: dict[str, Any]) -> None:
     np.save(tmp_path / "p.npy", ORBITAL)
-    assert not load_scene(tmp_path / "p.npy", **setting).surfaces.pinned
+    scene = load_scene(tmp_path / "p.npy", **setting)
+    assert not scene.surfaces.pinned
+    if setting.keys() & {"albedo", "rotating"}:
+        assert (
+            f"isovalue = {-scene.isovalue:g} pins the other" in scene.volume.orientation.notes[-1]
+        )
 
 
 def test_a_peaked_density_starts_by_its_mass() -> None:
