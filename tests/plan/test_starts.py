@@ -90,6 +90,23 @@ def test_a_map_starts_by_its_deviations(tmp_path: Path) -> None:
     assert "3 σ above the mean" in scene.volume.orientation.notes[-1]
 
 
+def test_a_map_of_differences_starts_with_both_signs(tmp_path: Path) -> None:
+    mrcfile = pytest.importorskip("mrcfile")
+    rng = np.random.default_rng(3)
+    noise = rng.normal(0.0, 0.1, R.shape)
+    blobs = np.exp(-((X - 0.4) ** 2 + Y**2 + Z**2) / 0.02)
+    for name, other in (("difference", -blobs[..., ::-1]), ("density", 0.0 * blobs)):
+        with mrcfile.new(tmp_path / f"{name}.mrc") as made:
+            made.set_data((blobs + other + noise).astype(np.float32))
+            made.header.ispg = 19
+    difference = load_scene(tmp_path / "difference.mrc")
+    assert [each.isovalue for each in difference.surfaces.pinned] == [-difference.isovalue]
+    assert "3 σ" in difference.volume.orientation.notes[-1]
+    density = load_scene(tmp_path / "density.mrc")
+    assert not density.surfaces.pinned
+    assert "1.5 σ" in density.volume.orientation.notes[-1]
+
+
 def test_the_isovalue_of_a_file_comes_first(tmp_path: Path) -> None:
     mrcfile = pytest.importorskip("mrcfile")
     with mrcfile.new(tmp_path / "map.mrc") as made:
