@@ -24,7 +24,9 @@ from isogi_core.files.grid import (
     Affine,
     Grid,
     Periodic,
+    cancelled,
     decompose,
+    on_voxels,
 )
 from isogi_core.files.vector import Vector, triple
 
@@ -168,8 +170,8 @@ def _layers(
         if not any(moves):
             yield layer[np.ix_(j % layer.shape[0], i % layer.shape[1])][None]
             continue
-        rows = j - at * moves[2]
-        columns = i - (rows * moves[0] + at * moves[1])[:, None]
+        rows = on_voxels(j - at * moves[2])
+        columns = on_voxels(i - (rows * moves[0] + at * moves[1])[:, None])
         yield _between(layer, rows, columns)[None]
 
 
@@ -186,4 +188,4 @@ def _between(layer: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.nda
     ]
     upper = corners[0] * (1.0 - right) + corners[1] * right
     lower = corners[2] * (1.0 - right) + corners[3] * right
-    return np.asarray(upper * (1.0 - down) + lower * down)
+    return cancelled(upper * (1.0 - down) + lower * down, corners)

@@ -392,8 +392,21 @@ def _moved(
             rows = np.arange(size[0]) + first[1] - k * skewed[1, 2] / skewed[1, 1]
             shift = (rows * skewed[0, 1] + k * skewed[0, 2]) / skewed[0, 0]
             columns = np.arange(size[1]) + first[0] - shift[:, None]
-            yield _between(layer.astype(np.float64), rows, columns).astype(dtype)[None]
+            flat = layer.astype(np.float64)
+            yield _between(flat, on_voxels(rows), on_voxels(columns)).astype(dtype)[None]
             k += 1
+
+
+VOXEL_TOLERANCE = 1e-6
+"""Voxels by which a place may be off a voxel, and is taken as on it."""
+
+
+def on_voxels(places: np.ndarray) -> np.ndarray:
+    """Real ``places`` along an axis, those next to a voxel on it: rounding would mix zeros with a
+    share of 1e-16 of what is beside them, and so make values of another order of them.
+    """
+    nearest = np.round(places)
+    return np.where(np.abs(places - nearest) <= VOXEL_TOLERANCE, nearest, places)
 
 
 def _between(layer: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
@@ -413,4 +426,19 @@ def _between(layer: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.nda
     ]
     above = beside[0] * (1.0 - right) + beside[1] * right
     below = beside[2] * (1.0 - right) + beside[3] * right
-    return np.where(inside, above * (1.0 - down) + below * down, np.nan)
+    values = above * (1.0 - down) + below * down
+    return np.where(inside, cancelled(values, beside), np.nan)
+
+
+ROUNDING = 1e-12
+"""Share of the values that a sum is made of below which it is no more than their rounding."""
+
+
+def cancelled(values: np.ndarray, parts: Sequence[np.ndarray]) -> np.ndarray:
+    """Sums of ``parts``, 0 where these cancel: what rounding leaves is no value of the field, and a
+    survey of values of a few steps would find nothing but such.
+    """
+    greatest = np.abs(parts[0])
+    for part in parts[1:]:
+        np.maximum(greatest, np.abs(part), out=greatest)
+    return np.where(np.abs(values) <= ROUNDING * greatest, 0.0, values)

@@ -4,6 +4,7 @@ lies in the world, in its unit, in any of a file's data sets.
 
 import gzip
 import io
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,8 @@ import pytest
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats.chemistry import text
 from isogi_core.files.formats.opening import open_file, open_upload
-from isogi_core.files.grid import Grid, on_right_angles
+from isogi_core.files.grid import Affine, Grid, on_right_angles
+from isogi_core.model.volume import make_volume
 from tests.files.formats.phantom import STEPS, letter
 
 F = letter().astype(float) / 8.0
@@ -305,3 +307,18 @@ def test_numbers_written_alike_are_read_exactly(decimals: int) -> None:
 )
 def test_numbers_written_otherwise_are_left_to_the_parser(words: bytes) -> None:
     assert text.scientific_numbers(words) is None
+
+
+def test_skewed_values_of_few_steps_are_no_outliers() -> None:
+    """Half-way between two steps that cancel, rounding leaves 1e-17: 0 is meant."""
+    rng = np.random.default_rng(2)
+    steps = (rng.integers(-50, 51, (9, 40, 40)) * 0.020358).astype(np.float32)
+    angles = np.radians([90.0, 210.0])
+    rows = 0.58 * np.array([[*np.cos(angles), 0.0, 0.0], [*np.sin(angles), 0.0, 0.0], [0, 0, 1, 0]])
+    grid = Grid(steps.shape, steps.dtype, (1.0, 1.0, 1.0), lambda: iter((steps,)))
+    skewed = on_right_angles(replace(grid, affine=Affine.of(rows))).whole()
+    tiny = np.abs(skewed) < 1e-6
+    assert np.count_nonzero(tiny) > 20
+    assert not skewed[tiny].any()
+    low, high = make_volume(skewed).core
+    assert (low, high) == (np.nanmin(skewed), np.nanmax(skewed))
