@@ -37,7 +37,7 @@ from isogi_core.plan.volumes.periods import closed, read_cells, repeated_beside,
 from isogi_core.plan.volumes.pieces import MOST_PIECE, without_small_pieces
 from isogi_core.plan.volumes.smoothing import gaussian_reach, smoothed
 
-COPY_FORMAT = 2
+COPY_FORMAT = 3
 """Version of the copies: increased when the same file gives other voxels."""
 
 NESTED = ("level", "channel", "time", "series")

@@ -181,3 +181,10 @@ def test_colours_of_a_crystal_go_on_with_its_cells(tmp_path: Path) -> None:
     own = scene.volume.offset + scene.volume.scale * scene.volume.voxels[1:-1, 1:-1, 1:-1]
     np.testing.assert_allclose(beside.whole()[1:-1, 1:-1, 1:-1], -own, atol=1e-5)
     assert beside.shape == scene.volume.shape
+    colours = scene.surfaces.colours
+    assert colours is not None
+    assert colours.step == (1.0, 1.0, 1.0)
+    codes = colours.places[1:-1, 1:-1, 1:-1]
+    low, high = colours.scale.span
+    expected = 1.0 + 254.0 * np.clip((-own - low) / (high - low), 0.0, 1.0)
+    np.testing.assert_allclose(codes, expected, atol=1.0)
