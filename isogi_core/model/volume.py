@@ -136,6 +136,15 @@ PLAIN_ORIENTATION = Orientation()
 """The orientation of a volume whose world is its voxel indices times spacing."""
 
 
+CUT_AWAY_VALUE = -8.0
+"""What voxels that are taken away hold, in units of voxels: those that are left are from 0 to 1,
+but for outliers.
+
+A face of the isovalue c lies (f - c) / (f - CUT_AWAY_VALUE) of a voxel before the last voxels left,
+f. Were it farther, faces would be flatter, and edges beside them rounder: normals are smoothed over
+four voxels.
+"""
+
 CORE_LIMIT = 4.0
 """Largest normalised voxel of the core; outliers are a hundred times larger."""
 
@@ -154,8 +163,23 @@ other: it refuses an isovalue that was not normalised, and a normalised one for 
 """
 
 
-UNMEASURED_FIELDS = ("voxels", "orientation", "moment", "segmented")
+UNMEASURED_FIELDS = ("voxels", "orientation", "moment", "segmented", "level", "deviations", "cell")
 """Fields of a volume that are not facts of its voxels, and so are not kept with these."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One cell of a field that repeats along the axes that are ``periodic``: its first voxels along
+    x, y, z, and those after its last, which are the first ones again; ``spans``.
+    """
+
+    spans: tuple[tuple[int, int], tuple[int, int], tuple[int, int]]
+    periodic: tuple[bool, bool, bool]
+
+    def of(self, voxels: np.ndarray) -> np.ndarray:
+        """The ``voxels`` (z, y, x) of the cell."""
+        x, y, z = (slice(*span) for span in self.spans)
+        return voxels[z, y, x]
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,6 +199,8 @@ class Volume:
       of the world's lights in the box.
     - ``moment``: number of the step in a series in time, and the number of steps.
     - ``segmented``: the field is made from a segmentation's labels.
+    - ``level``, ``deviations``: those of the volume's ``Grid``.
+    - ``cell``: one cell of a field that repeats; None if the field does not.
     """
 
     voxels: np.ndarray
@@ -194,6 +220,9 @@ class Volume:
     orientation: Orientation = PLAIN_ORIENTATION
     moment: tuple[int, int] = (0, 1)
     segmented: bool = False
+    level: float | None = None
+    deviations: float | None = None
+    cell: Cell | None = None
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -298,6 +327,10 @@ class Volume:
         share = at - first
         if share > 0.0:
             values = (1.0 - share) * values + share * planes[first + 1]
+        if self.cell is not None:
+            # what is cut away around the cell is no value of the field
+            ends = planes[first : first + 1 + (share > 0.0)]
+            values = np.where((ends == CUT_AWAY_VALUE).any(axis=0), np.nan, values)
         return self.offset + self.scale * values[::-1]
 
     def counted(

@@ -147,7 +147,7 @@ def options(table: dict[str, str]) -> Callable[[Command], Command]:
 
 
 VOLUME_OPTIONS = (
-    *("axes", "raw", "solid", "smooth", "pieces", "environment"),
+    *("axes", "raw", "solid", "smooth", "pieces", "environment", "periodic", "repeat"),
     *("cut", "surfaces", "hide", "material"),
 )
 """Options of ``volume_options``; given ones are appended to the target after a #."""
@@ -185,6 +185,17 @@ def volume_options(command: Callable[..., Any]) -> Callable[..., Any]:
         help="Hide pieces of fewer voxels than this, such as specks of noise; default: 0, none.",
     )
     @click.option("--environment", help=replace(KNOBS["environment"], help=LIGHT_HELP).text)
+    @click.option(
+        "--periodic",
+        help=(
+            "Along which axes the volume is one cell of a field that repeats, such as "
+            "true,true,false; default: as its file says."
+        ),
+    )
+    @click.option(
+        "--repeat",
+        help="How many cells of it to show along x, y and z, such as 2,2,1; default: 1,1,1.",
+    )
     @options({name: KNOBS[name].text for name in ("cut", "surfaces", "hide", "material")})
     @wraps(command)
     def placed(**given: Any) -> Any:

@@ -24,6 +24,7 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.model.choices import PROJECTIONS
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
+from isogi_core.plan.variants import at_both_signs
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.reference import (
     Goal,
@@ -42,7 +43,7 @@ from server.progress import Progress, compiling, open_scene
 from server.render.engine import RenderEngine, engine_for
 from server.render.patience import Patience, time_limit
 from server.settings import Settings
-from server.views import PLACING, view_of, with_first_view
+from server.views import PLACING, isovalue_of, view_of, with_first_view
 from worker.errors import WorkersError
 from worker.progress import TimeLeft
 
@@ -80,6 +81,7 @@ def render(
     knobs = with_first_view(scene, knobs)
     params = smoothed(read(FrameParams, [*knobs.items(), ("f", form)]), form)
     format_for(params, None)
+    scene = at_both_signs(scene, isovalue_of(scene, params))
     view_of(scene, params, settings)
     pixel = NPY_PIXEL_BYTES if form == "npy" else PACKED_PIXEL_BYTES
     check_writable(output, pixel * params.width * params.height)

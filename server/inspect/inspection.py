@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -357,8 +358,14 @@ def inspection_schema(scene: Scene) -> InspectionSchema:
 
 
 def stiffness_schema(scene: Scene) -> StiffnessSchema:
-    """Return the stiffness of the scene's volume."""
+    """Return the stiffness of the scene's volume; of a field that repeats, that of the part that is
+    shown, without the margin that is cut away around it.
+    """
     asked = isovalues_of(scene)
+    cell = scene.volume.cell
+    if cell is not None:
+        shown = np.ascontiguousarray(cell.of(scene.volume.voxels))
+        scene = replace(scene, volume=replace(scene.volume, voxels=shown))
     levels = np.array([scene.volume.normalise_isovalue(each) for each in asked], np.float32)
     with closing(Tiles()) as tiles:
         found = measure_stiffness(PreparedScene(scene).field, levels, tiles.run)
@@ -417,7 +424,7 @@ def surface_schema(scene: Scene, found: Stiffness, isovalue: float, place: int) 
         plateau=plateau,
         noisy=noisy,
         holes=holes,
-        box={face: share for face, share in met if share > 0.0},
+        box={face: share for face, share in met if share > 0.0 and ends(scene.volume, face)},
         error=error_schema(found.expectation(place)) if cells else None,
     )
 
@@ -425,6 +432,11 @@ def surface_schema(scene: Scene, found: Stiffness, isovalue: float, place: int) 
 def error_schema(expected: Expectation) -> ErrorSchema:
     """Return an expected error as a document."""
     return ErrorSchema(low=expected.low, likely=expected.likely, high=expected.high)
+
+
+def ends(volume: Volume, face: str) -> bool:
+    """Whether the field ends at a ``face`` of the box, and does not repeat there."""
+    return volume.cell is None or not volume.cell.periodic["xyz".index(face[0])]
 
 
 def faces_of(size: tuple[int, int, int]) -> list[str]:

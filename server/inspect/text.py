@@ -371,7 +371,9 @@ def proposed(scene: Scene, facts: InspectionSchema) -> Iterator[tuple[str, str]]
     given = "isovalue" in scene.source.document or str(
         scene.source.document.get("volume")
     ).startswith("demo:")
-    if given:
+    if scene.source.found:
+        why = "chosen for such values"
+    elif given:
         why = "as the scene says"
     else:
         why = "proposed from the values"

@@ -12,6 +12,10 @@ from importlib import import_module
 from pathlib import PurePath
 from typing import NamedTuple
 
+from isogi_core.files.formats.chemistry.cube import is_cube
+from isogi_core.files.formats.chemistry.opendx import is_dx
+from isogi_core.files.formats.chemistry.vasp import is_vasp
+from isogi_core.files.formats.chemistry.xsf import is_xsf
 from isogi_core.files.formats.source import Reader
 from isogi_core.files.packed_files import BZIP2_MAGIC, GZIP_MAGIC
 
@@ -326,6 +330,11 @@ READ_KINDS: tuple[Kind, ...] = (
         reader="image_files:open_itk",
     ),
     Kind("GIPL", marked(GIPL_MAGIC, at=252), (".gipl",), reader="image_files:open_itk"),
+    # Files of chemistry are text with few marks: they come after all that have one.
+    Kind("XSF", is_xsf, reader="chemistry.xsf:open_xsf", unpacks=True),
+    Kind("OpenDX", is_dx, reader="chemistry.opendx:open_dx", unpacks=True),
+    Kind("Gaussian cube", is_cube, reader="chemistry.cube:open_cube", unpacks=True),
+    Kind("VASP", is_vasp, reader="chemistry.vasp:open_vasp", unpacks=True),
     Kind("an image of ITK", suffixes=(".hdr", ".img"), reader="image_files:open_itk"),
 )
 """Kinds that isogi reads, in the order in which a file is compared with them."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.coordinates import SPACING_KEY
+from isogi_core.files.formats.chemistry.levels import level_in
 from isogi_core.files.formats.source import Source, library, pick, raw_slabs, reader
 from isogi_core.files.grid import Affine, Grid, read_as
 
@@ -51,7 +52,21 @@ def open_mrc(source: Source) -> Grid:
         "Å",
         notes,
         read_as=read_as("MRC", dtype, "its cell and origin"),
+        level=level_in(_labels(header)),
+        deviations=CRYSTAL_DEVIATIONS if int(header["ispg"]) > 1 else MICROSCOPE_DEVIATIONS,
     )
+
+
+MICROSCOPE_DEVIATIONS = 3.0
+CRYSTAL_DEVIATIONS = 1.5
+"""Standard deviations above the mean at which maps are shown at first: of cryo-EM, whose box is
+mostly empty, and of a crystal's cell, which is full (Coot's start for 2Fo - Fc).
+"""
+
+
+def _labels(header: Any) -> str:
+    """The labels of a header, one after the other."""
+    return " ".join(bytes(label).decode("latin-1") for label in header["label"])
 
 
 def _header(source: Source) -> Any:

@@ -39,7 +39,7 @@ __all__ = ["HEAD_BYTES", "libraries_for", "open_file", "open_upload", "split_par
 
 KNOWN_KINDS = (
     "NRRD, NIfTI, DICOM, TIFF, MRC, HDF5, NetCDF, NumPy, MGH, Analyze, AFNI, MINC, "
-    "MetaImage, VTI or Zarr"
+    "MetaImage, VTI, Gaussian cube, CHGCAR, OpenDX, XSF or Zarr"
 )
 
 
