@@ -640,6 +640,7 @@ class Isogi:
     ) -> None:
         token = token or os.environ.get("ISOGI_TOKEN")
         self._server: subprocess.Popen[bytes] | None = None
+        self._kept: object = None  # what a server that was started reads, for as long as it lives
         self._patience = patience
         self._wait = min(LONGEST_WAIT, timeout / 2)
         # Repeat requests that the server is too busy for; once it has answered, also those that get

@@ -277,7 +277,12 @@ class Scene:
         path = Path(folder) / f"{self._source.name}.toml"
         path.write_text(toml_of(self._source), encoding="utf-8")
         given = {"store": self._settings.store, "workers": self._settings.workers, **settings}
-        return Isogi.serving(path, **{key: each for key, each in given.items() if each is not None})
+        client = Isogi.serving(
+            path, **{key: each for key, each in given.items() if each is not None}
+        )
+        # The server reads the scene's files: they go with the client, and not before.
+        client._kept = self
+        return client
 
     def close(self) -> None:
         """End the workers, once they have written their light; the next picture starts others."""

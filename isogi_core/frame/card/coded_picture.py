@@ -34,6 +34,9 @@ from isogi_core.kernels.shading.lobes import add_lobes
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.view import View
 
+DARKEST = 1e-150
+"""Least mean luminance that errors are relative to: its square is still a number."""
+
 CONTROLS = 256
 """Number of control pixels of a picture."""
 
@@ -158,4 +161,5 @@ class ControlPictures:
         picture = framebuffer.radiance[control.gbuffer.pixels] @ LUMINANCE_WEIGHTS
         shown = picture[control.pixels.places]
         mean = control.pixels.mean(shown, float(picture.mean()))
-        return control.pixels.squares(shown) / max(mean, np.finfo(float).tiny) ** 2
+        # A black picture has no relative error: the floor keeps its square above underflow.
+        return control.pixels.squares(shown) / max(mean, DARKEST) ** 2
