@@ -640,6 +640,7 @@ class Isogi:
     ) -> None:
         token = token or os.environ.get("ISOGI_TOKEN")
         self._server: subprocess.Popen[bytes] | None = None
+        self._kept: object = None  # what a server that was started reads, for as long as it lives
         self._patience = patience
         self._wait = min(LONGEST_WAIT, timeout / 2)
         # Repeat requests that the server is too busy for; once it has answered, also those that get
@@ -689,7 +690,8 @@ class Isogi:
 
         >>> isogi = Isogi.serving("engine.toml")
         """
-        # Let the system choose a free port.
+        # Let the system choose a free port. Another process may take it before the server does: the
+        # server then ends, and this call raises.
         with socket.create_server(("127.0.0.1", 0)) as free:
             port = free.getsockname()[1]
         options = [
@@ -882,7 +884,7 @@ class Isogi:
         suffix decides the format.
 
         ``view`` are the fields of the HTTP interface: isovalue, yaw, exposure, max_error, deadline,
-        … The server's job is dismissed if this call is interrupted.
+        … The server's job is dismissed in any case: its file is here then, or of no use.
 
         >>> isogi.export("casting", "casting.glb", isovalue=0.5, yaw=90, deadline=300)
         """

@@ -65,8 +65,8 @@ def open_scene(
 
 
 def kept_array(source: Any) -> tuple[str, str, Sequence[float] | None]:
-    """Write an array to a file of its own; the folder, the file, and the spacing of its voxels if
-    the array tells it.
+    """Write an array to a file in a new folder; return the folder, the file, and the spacing of
+    its voxels if the array has coordinates.
 
     Raises VolumeError if it is no array of three dimensions.
     """
@@ -199,6 +199,8 @@ class Scene:
         knobs = dict(with_first_view(self._scene, knobs))
         try:
             drawn = draw(self._started(), self._scene, knobs, self._settings, seconds=time)
+        # After an error, and an interrupt above all, no worker is to go on; the next picture starts
+        # others.
         except BaseException:
             self.close()
             raise
@@ -219,6 +221,7 @@ class Scene:
         ``coefficients`` adds the harmonics of the light. ``view`` may turn the light and set the
         albedo. Raises ViewError, SceneError, VolumeError, StoreError, WorkersError and OSError.
         """
+        # The export starts an engine with workers: two sets of workers would share the cores.
         self.close()
         request = exporting.ExportRequest(
             Path(path),
@@ -274,7 +277,12 @@ class Scene:
         path = Path(folder) / f"{self._source.name}.toml"
         path.write_text(toml_of(self._source), encoding="utf-8")
         given = {"store": self._settings.store, "workers": self._settings.workers, **settings}
-        return Isogi.serving(path, **{key: each for key, each in given.items() if each is not None})
+        client = Isogi.serving(
+            path, **{key: each for key, each in given.items() if each is not None}
+        )
+        # The server reads the scene's files: they go with the client, and not before.
+        client._kept = self
+        return client
 
     def close(self) -> None:
         """End the workers, once they have written their light; the next picture starts others."""
@@ -303,7 +311,7 @@ class Picture:
     """A picture that was drawn, with its light and its error. Notebooks show it."""
 
     def __init__(self, drawn: Drawn) -> None:
-        """Hold what was ``drawn``."""
+        """Hold the picture ``drawn``."""
         self._drawn = drawn
 
     @property
@@ -325,7 +333,7 @@ class Picture:
 
     @property
     def facts(self) -> dict[str, Any]:
-        """What ``isogi render --json`` says of the picture."""
+        """The facts of the picture, as ``isogi render --json`` prints them."""
         return dict(self._drawn.facts)
 
     @cached_property

@@ -43,7 +43,9 @@ NOTEBOOK_MODULE = "notebook/notebook.js"
 """The page's module that shows a view in a notebook."""
 
 IMPORT_STATEMENT = re.compile(r'^(?:import|export) [^;]*?from "(\.[^"]+)";$', re.MULTILINE)
-"""An import of another module in a module of the page."""
+"""An import of another module in a module of the page, as the page's modules write it: a statement
+that begins its line, with a path that begins with a dot. ESM looks for the same.
+"""
 
 DEFAULT_SIDE_PIXELS = 512
 """Pixels of a picture's sides if they are not given."""

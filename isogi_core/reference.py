@@ -242,7 +242,7 @@ def load_reference(path: Path, scene: Scene, view: View) -> Reference:
     # Refuse a reference of another subject, and say what the file holds.
     if kept["subject"] != subject_of(scene, view):
         described = (
-            "{scene} at {isovalue:g}, {width} × {height} pixels, {bounces} bounces, "
+            "{scene} at {shortest(isovalue)}, {width} × {height} pixels, {bounces} bounces, "
             "{normals} normals, {offset:g} off"
         )
         kept_view = described.format(**about, **about["view"])

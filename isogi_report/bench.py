@@ -21,6 +21,7 @@ from isogi_core.bake.texel_light import FIRST_LEVEL, Light, Part
 from isogi_core.cache.chunk_record import Chunks
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import ViewError
+from isogi_core.files.spelling import shortest
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.projected_texels import find_distances
 from isogi_core.frame.renderer import Renderer
@@ -278,7 +279,8 @@ class Bench:
         gbuffer = self.renderer(self.scene).gbuffer(self.view)
         if not len(gbuffer.pixels):
             raise ViewError(
-                f"Nothing is to be seen at isovalue {self.view.isovalue:g}: choose another view."
+                f"Nothing is to be seen at isovalue {shortest(self.view.isovalue)}: choose another "
+                "view."
             )
         on = np.zeros(gbuffer.shape, bool)
         on.flat[gbuffer.pixels] = True

@@ -8,6 +8,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from isogi_core.files.spelling import shortest
 from isogi_core.model.view import Camera, View
 from isogi_core.plan.scene import Scene
 from server.answers import scene_schema
@@ -33,7 +34,7 @@ and that a report of one view leaves out.
 def heading(scene: Scene, view: View) -> dict[str, Any]:
     """Return the head as a document."""
     return {
-        "title": f"{scene.name} at {view.isovalue:g}",
+        "title": f"{scene.name} at {scene.volume.spell(view.isovalue)}",
         "scene": scene_schema(scene).model_dump(mode="json", exclude=OMITTED_SETTINGS),
         "view": view_facts(view),
         "machine": machine(),
@@ -112,7 +113,7 @@ def inspected_facts(facts: SceneSchema, *names: str) -> Rows:
 def view_rows(view: View) -> Rows:
     """Return name and text of each fact of a view."""
     return (
-        ("isovalue", f"{view.isovalue:.10g}"),
+        ("isovalue", f"{shortest(view.isovalue)}"),
         (
             "picture",
             (

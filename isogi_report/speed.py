@@ -22,6 +22,7 @@ from isogi_core.bake.refine import refine
 from isogi_core.bake.texel_light import Light
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import ViewError
+from isogi_core.files.spelling import shortest
 from isogi_core.frame.film import develop
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import pinhole
@@ -363,7 +364,8 @@ class StepTimes:
         frame = bake_view(self.renderer, self.view, MIN_SAMPLES)
         if not frame.surface:
             raise ViewError(
-                f"Nothing is to be seen at isovalue {self.scene.isovalue:g}: choose another."
+                f"Nothing is to be seen at isovalue {shortest(self.scene.isovalue)}: choose "
+                "another."
             )
         return frame
 

@@ -97,7 +97,7 @@ def measured_facts(bench: Bench) -> tuple[tuple[Cell, ...], ...]:
     return (
         (
             "volume",
-            f"{scene.volume.name}, {size} voxels, isovalue {view.isovalue:g}",
+            f"{scene.volume.name}, {size} voxels, isovalue {scene.volume.spell(view.isovalue)}",
         ),
         ("lights", f"{lights}, {'may turn' if scene.lighting.rotating else 'stay where they are'}"),
         (

@@ -391,14 +391,20 @@ def point_schema(
 
 
 def size_schema(renderer: Renderer, isovalue: float) -> SizeSchema:
-    """Return the area and the enclosed volume of a scene's surface, in world units; an area of
-    0 if there is none.
+    """Return the area and the enclosed volume of a scene's surface, in world units, of one cell if
+    the field repeats; an area of 0 if there is none.
     """
     prepared = renderer.prepared
     volume = prepared.scene.volume
     place = prepared.scene.volume.orientation
     steps = place.affine(volume.spacing)[:, :3]
-    size = surface_size(volume.voxels, prepared.surface(isovalue).isovalue, steps)
+    level = prepared.surface(isovalue).isovalue
+    if volume.cell is None or prepared.scene.source.document.get("cut"):
+        size = surface_size(volume.voxels, level, steps)
+    else:
+        # a field that repeats has as much in each cell, and faces of the cell are none of its own
+        cell = volume.cell
+        size = surface_size(cell.of(volume.voxels), level, steps, cell.periodic)
     return SizeSchema(isovalue=isovalue, unit=place.unit, **asdict(size))
 
 

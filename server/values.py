@@ -16,6 +16,7 @@ from annotated_types import GroupedMetadata, MaxLen
 
 from isogi_core.errors import ViewError
 from isogi_core.files.packed_files import read_small
+from isogi_core.files.spelling import shortest
 from server.errors import ParameterError
 
 NUMBER_PATTERN = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
@@ -100,7 +101,8 @@ class Span(Kind):
             else:
                 kind = "a number"
             raise ValueError(
-                f"must be {kind} from {self.low:.10g} to {self.high:.10g}, not {shown(value)}."
+                f"must be {kind} from {shortest(self.low)} to {shortest(self.high)}, not "
+                f"{shown(value)}."
             )
         return int(number) if self.whole else number
 

@@ -45,8 +45,8 @@ from isogi_core.kernels.transport.transfer import (
 )
 from isogi_core.model.lights import Colour
 from isogi_core.model.scene_plan import GLOW_KIND, MAX_SAMPLES, Layer, most_samples
-from isogi_core.model.volume import Isovalue, Volume
-from isogi_core.plan.volumes.masks import CUT_AWAY_VALUE, Ranges, box_left, is_within, values_beyond
+from isogi_core.model.volume import CUT_AWAY_VALUE, Isovalue, Volume
+from isogi_core.plan.volumes.masks import Ranges, box_left, is_within, values_beyond
 from isogi_core.prepared.prepared_scene import Met, PreparedScene
 
 

@@ -72,6 +72,11 @@ def srgb_bytes(linear: np.ndarray) -> np.ndarray:
     return np.asarray(curve * 255.0 + 0.5, np.uint8)
 
 
+Periodic = tuple[bool, bool, bool]
+"""Whether a grid is one period of a field that repeats along x, y, z."""
+
+APERIODIC: Periodic = (False, False, False)
+
 SINGLE_MOMENT = (0, 1)
 """The moment of what is no series in time."""
 
@@ -89,7 +94,10 @@ class Grid:
     ``moment`` of a series in time: which step it is, and of how many; ``unchosen`` where it is the
     first because nobody chose one. ``labels`` are named ones of a segmentation, None where the file
     does not say that it is one. ``read_as`` says in a line what the source was taken for, see the
-    function of that name.
+    function of that name. It is one cell of a field that is ``periodic`` along some axes: the voxel
+    after the last one is the first. ``level`` is the isovalue that the source names, and
+    ``deviations`` how many standard deviations above its mean a map of its kind is shown; None
+    without one.
     """
 
     shape: Shape
@@ -104,6 +112,9 @@ class Grid:
     unchosen: bool = False
     labels: tuple[LabelName, ...] | None = None
     read_as: str = ""
+    periodic: Periodic = APERIODIC
+    level: float | None = None
+    deviations: float | None = None
 
     @classmethod
     def of(cls, array: np.ndarray, spacing: Sequence[float] = (1.0, 1.0, 1.0)) -> "Grid":
@@ -141,6 +152,7 @@ class Grid:
             stamp=partial(_of_region, self.stamp, region),
             affine=Affine.of(rows, self.affine.letters if self.affine else ""),
             notes=(*self.notes, note),
+            periodic=APERIODIC,
         )
 
     def raw(self, region: "Region | None") -> "Grid":
@@ -218,6 +230,10 @@ def _of_region(stamp: Callable[[], str], region: Region) -> str:
     return f"{stamp()} {region}"
 
 
+UNPLACED = "it does not say where it lies"
+"""How ``read_as`` ends for a source that gives no place and no spacing."""
+
+
 def read_as(
     kind: str, stored: np.dtype[Any], placed: str = "", slope: float = 1.0, intercept: float = 0.0
 ) -> str:
@@ -235,7 +251,7 @@ def read_as(
     if placed:
         lies = f"placed by {placed}"
     else:
-        lies = "it does not say where it lies"
+        lies = UNPLACED
     return f"{kind} of {stored.name}{order}{values}; {lies}"
 
 
@@ -303,7 +319,7 @@ def _set_straight(grid: Grid, steps: tuple[float, ...]) -> Grid:
     """A right-handed grid with the spacing ``steps``, resampled where its axes are skewed."""
     assert grid.affine is not None, "on_right_angles has asked"
     array = grid.affine.array
-    rotation, skewed = _decompose(array[:, :3])
+    rotation, skewed = decompose(array[:, :3])
     last = np.array(grid.shape[::-1]) - 1.0
     off = np.abs(skewed - np.diag(np.diag(skewed))) @ last / np.diag(skewed)
     if off.max() <= MAX_SKEW_VOXELS:
@@ -314,7 +330,7 @@ def _set_straight(grid: Grid, steps: tuple[float, ...]) -> Grid:
     return _resampled(grid, rotation, skewed)
 
 
-def _decompose(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def decompose(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A rotation and an upper triangle with a positive diagonal, whose product is the ``matrix``;
     (3, 3) each.
 
@@ -380,8 +396,21 @@ def _moved(
             rows = np.arange(size[0]) + first[1] - k * skewed[1, 2] / skewed[1, 1]
             shift = (rows * skewed[0, 1] + k * skewed[0, 2]) / skewed[0, 0]
             columns = np.arange(size[1]) + first[0] - shift[:, None]
-            yield _between(layer.astype(np.float64), rows, columns).astype(dtype)[None]
+            flat = layer.astype(np.float64)
+            yield _between(flat, on_voxels(rows), on_voxels(columns)).astype(dtype)[None]
             k += 1
+
+
+VOXEL_TOLERANCE = 1e-6
+"""Voxels by which a place may be off a voxel, and is taken as on it."""
+
+
+def on_voxels(places: np.ndarray) -> np.ndarray:
+    """Real ``places`` along an axis, those next to a voxel on it: rounding would mix zeros with a
+    share of 1e-16 of what is beside them, and so make values of another order of them.
+    """
+    nearest = np.round(places)
+    return np.where(np.abs(places - nearest) <= VOXEL_TOLERANCE, nearest, places)
 
 
 def _between(layer: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
@@ -401,4 +430,19 @@ def _between(layer: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.nda
     ]
     above = beside[0] * (1.0 - right) + beside[1] * right
     below = beside[2] * (1.0 - right) + beside[3] * right
-    return np.where(inside, above * (1.0 - down) + below * down, np.nan)
+    values = above * (1.0 - down) + below * down
+    return np.where(inside, cancelled(values, beside), np.nan)
+
+
+ROUNDING = 1e-12
+"""Share of the values that a sum is made of below which it is no more than their rounding."""
+
+
+def cancelled(values: np.ndarray, parts: Sequence[np.ndarray]) -> np.ndarray:
+    """Sums of ``parts``, 0 where these cancel: what rounding leaves is no value of the field, and a
+    survey of values of a few steps would find nothing but such.
+    """
+    greatest = np.abs(parts[0])
+    for part in parts[1:]:
+        np.maximum(greatest, np.abs(part), out=greatest)
+    return np.where(np.abs(values) <= ROUNDING * greatest, 0.0, values)

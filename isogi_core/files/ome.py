@@ -15,49 +15,10 @@ import zarr
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.grid import PATIENT_AXES, Grid, LabelName, on_right_angles
+from isogi_core.files.units import METRES_OF_NAMES
 from isogi_core.storage.atomic_file import whole_folder
 
 SPACE_AXES = ("x", "y", "z")
-
-SI_PREFIXES = {
-    **{
-        "yotta": 24,
-        "zetta": 21,
-        "exa": 18,
-        "peta": 15,
-        "tera": 12,
-        "giga": 9,
-        "mega": 6,
-        "kilo": 3,
-        "hecto": 2,
-    },
-    **{
-        "deca": 1,
-        "deci": -1,
-        "centi": -2,
-        "milli": -3,
-        "micro": -6,
-        "nano": -9,
-        "pico": -12,
-        "femto": -15,
-    },
-    **{"atto": -18, "zepto": -21, "yocto": -24},
-}
-"""Powers of ten by SI prefix."""
-
-METRES_OF_NAMES = {
-    **{f"{prefix}meter": 10.0**power for prefix, power in SI_PREFIXES.items()},
-    **{
-        "meter": 1.0,
-        "angstrom": 1e-10,
-        "inch": 0.0254,
-        "foot": 0.3048,
-        "yard": 0.9144,
-        "mile": 1609.344,
-    },
-    "parsec": 3.0856775814913673e16,
-}
-"""Metres of the units that NGFF names."""
 
 UNIT_SIGNS = {
     "meter": "m",
@@ -238,9 +199,8 @@ def array_axes(resolution: Resolution) -> tuple[Axis, ...]:
 
 def placed_in_space(resolution: Resolution) -> tuple[np.ndarray, str, str]:
     """From indices along x, y, z to the world's x, y, z in the unit of x, (3, 4), the sign of that
-    unit, and the letters of a patient's world, where all axes say how they lie in one.
-
-    Raises VolumeError where units cannot be compared.
+    unit, and the letters of a patient's world, where all axes say how they lie in one. Units that
+    cannot be compared are taken as one: see ``odd_units``.
     """
     matrix, unit = _in_one_unit(resolution)
     towards = [axis.towards for name in SPACE_AXES for axis in resolution.axes if axis.name == name]
@@ -251,6 +211,14 @@ def placed_in_space(resolution: Resolution) -> tuple[np.ndarray, str, str]:
     for row, (place, sign) in zip(matrix, places, strict=True):
         patient[place] = sign * row
     return patient, unit, PATIENT_AXES
+
+
+def odd_units(resolution: Resolution) -> str:
+    """List the units of axes in space if they differ and cannot be compared; else empty."""
+    units = [axis.unit for name in SPACE_AXES for axis in resolution.axes if axis.name == name]
+    if len(set(units)) < 2 or set(units) <= set(METRES_OF_NAMES):
+        return ""
+    return ", ".join(unit or "no unit" for unit in units)
 
 
 def _in_one_unit(resolution: Resolution) -> tuple[np.ndarray, str]:
@@ -264,12 +232,8 @@ def _in_one_unit(resolution: Resolution) -> tuple[np.ndarray, str]:
     matrix = matrix[:, [*(columns.index(name) for name in SPACE_AXES), -1]]
     if len(set(units)) == 1:
         return matrix, UNIT_SIGNS.get(units[0], units[0])
-    unknown = next((each for each in units if each not in METRES_OF_NAMES), None)
-    if unknown is not None:
-        raise VolumeError(
-            f"The axes have different units, and '{unknown}' is no known one: set spacing in "
-            "the scene."
-        )
+    if odd_units(resolution):
+        return matrix, UNIT_SIGNS.get(units[0], units[0])
     lengths = np.array([METRES_OF_NAMES[each] / METRES_OF_NAMES[units[0]] for each in units])
     return matrix * lengths[:, None], UNIT_SIGNS.get(units[0], units[0])
 

@@ -16,6 +16,7 @@ from urllib.parse import unquote
 
 from isogi_core.errors import SceneError, advice, readable
 from isogi_core.files.packed_files import in_short, read_small, reason_of
+from isogi_core.files.spelling import shortest
 from isogi_core.files.vector import Vector, triple
 
 CHANGING_PARAMETERS = ("surfaces", "hide", "material")
@@ -215,12 +216,14 @@ ZARR_METADATA = ("zarr.json", ".zgroup", ".zarray", ".zattrs")
 class SceneSource:
     """A scene's document: enough for another process to build the same scene.
 
-    ``document`` is the parsed TOML; paths in it are relative to the folder ``base``.
+    ``document`` is the parsed TOML; paths in it are relative to the folder ``base``. ``found`` is
+    whether isogi chose its isovalue, and a second surface with it: see ``with_start``.
     """
 
     name: str
     document: Mapping[str, Any] = field(hash=False)
     base: Path
+    found: bool = False
 
 
 Target = str | Path | SceneSource | None
@@ -348,16 +351,20 @@ def labels_as_volume(document: Mapping[str, Any], name: str) -> Mapping[str, Any
 
 
 LYING = (
-    *("axes", "solid", "smooth", "pieces", "labels", "raw", "environment", "cut"),
+    *("axes", "spacing", "solid", "smooth", "pieces", "labels", "raw", "environment", "cut"),
+    *("periodic", "repeat"),
     *CHANGING_PARAMETERS,
 )
-"""Settings that may follow the # of a target: how its volume lies, which side of the isovalue is
-solid, how far it is smoothed, whether its values are labels, its light, what is cut away, and what
-changes it as views do.
+"""Settings that may follow the # of a target: how its volume lies and how far its voxels are apart,
+which side of the isovalue is solid, how far it is smoothed, whether its values are labels, its
+light, what is cut away, if and how often it repeats, and what changes it as views do.
 """
 
 NUMBERS_LYING = ("smooth", "pieces")
 """Settings of LYING that are numbers."""
+
+LISTS_LYING = ("periodic", "repeat")
+"""Settings of LYING that are lists of TOML, written with or without brackets."""
 
 
 def split_settings(target: str) -> tuple[str, dict[str, Any]]:
@@ -373,9 +380,26 @@ def split_settings(target: str) -> tuple[str, dict[str, Any]]:
     for key in (each for each in NUMBERS_LYING if each in told):
         with suppress(ValueError):  # a text stays, which the setting refuses
             told[key] = int(told[key]) if told[key].isdecimal() else float(told[key])
+    if "spacing" in told:
+        with suppress(ValueError):
+            told["spacing"] = [float(step) for step in told["spacing"].split(",")]
+    for key in (each for each in LISTS_LYING if each in told):
+        told[key] = [_lying_element(each.strip()) for each in told[key].strip("[]").split(",")]
     rest = "&".join(each for each in part.split("&") if each.partition("=")[0] not in LYING)
     return f"{place}#{rest}" if rest else place, told
 
+
+def _lying_element(text: str) -> bool | int | str:
+    """An element of a list in a target: a text stays, which the setting refuses."""
+    if text in ("true", "false"):
+        return text == "true"
+    if text.isascii() and text.isdecimal() and len(text) < MAX_DIGITS:
+        return int(text)
+    return text
+
+
+MAX_DIGITS = 10
+"""Digits of a whole number in a list of a target, fewer than."""
 
 PART_SETTINGS = ("level", "channel", "time", "series", "raw", "region")
 """Settings of a scene that choose a part of its volume's file, or say what it holds."""
@@ -389,6 +413,8 @@ VOXEL_SETTINGS = (
     "smooth",
     "pieces",
     "axes",
+    "periodic",
+    "repeat",
     "volumes",
     *PART_SETTINGS,
 )
@@ -482,7 +508,7 @@ class Settings:
 
     def number(self, key: str, fallback: float, low: float, high: float) -> float:
         """A number in [low, high]."""
-        wanted = f"a number from {low:g} to {high:g}"
+        wanted = f"a number from {shortest(low)} to {shortest(high)}"
         value = self._read(key, lambda value: is_number(value) and low <= value <= high, wanted)
         return float(fallback if value is None else value)
 
@@ -507,6 +533,27 @@ class Settings:
         if value is None:
             return None
         return tuple(map(float, value))
+
+    def flags(self, key: str, length: int) -> tuple[bool, ...] | None:
+        """A list of ``length`` times true or false, or None."""
+        value = self._read(
+            key,
+            lambda value: _is_list(value, length) and all(isinstance(each, bool) for each in value),
+            f"a list of {length} times true or false",
+        )
+        return None if value is None else tuple(value)
+
+    def counts(self, key: str, length: int, high: int) -> tuple[int, ...] | None:
+        """A list of ``length`` whole numbers from 1 to ``high``, or None."""
+        value = self._read(
+            key,
+            lambda value: (
+                _is_list(value, length)
+                and all(type(each) is int and 1 <= each <= high for each in value)
+            ),
+            f"a list of {length} whole numbers from 1 to {high}",
+        )
+        return None if value is None else tuple(value)
 
     def spans(self, key: str, length: int) -> tuple[tuple[int, int], ...] | None:
         """A list of ``length`` pairs of ascending whole numbers from 0 on, or None."""
@@ -541,7 +588,8 @@ class Settings:
         if not within[0] <= value[0] <= value[1] <= within[1]:
             raise self._wrong(
                 key,
-                f"two ascending numbers from {within[0]:g} to {within[1]:g}, the volume's range",
+                f"two ascending numbers from {shortest(within[0])} to {shortest(within[1])}, the "
+                "volume's range",
             )
         return value[0], value[1]
 
@@ -549,7 +597,9 @@ class Settings:
         """Two numbers in [low, high], the second above the first, or None."""
         value = self.numbers(key, 2)
         if value is not None and not low <= value[0] < value[1] <= high:
-            raise self._wrong(key, f"two ascending numbers from {low:g} to {high:g}")
+            raise self._wrong(
+                key, f"two ascending numbers from {shortest(low)} to {shortest(high)}"
+            )
         if value is None:
             return None
         return (value[0], value[1])

@@ -18,6 +18,7 @@ from zarr.abc.store import Store
 from zarr.storage import LocalStore, ObjectStore
 
 from isogi_core.errors import VolumeError
+from isogi_core.files.coordinates import SPACING_KEY, Along, Place, place_by, unread_spacing
 from isogi_core.files.grid import (
     MAX_VOXELS,
     SINGLE_MOMENT,
@@ -36,13 +37,14 @@ from isogi_core.files.ome import (
     array_axes,
     first_image,
     labels_of,
+    odd_units,
     placed_in_space,
     resolutions_of,
 )
 from isogi_core.files.packed_files import line_of, stamp_of
 from isogi_core.files.packing import Packing, climate_packing
 from isogi_core.files.scene_file import ZARR_METADATA
-from isogi_core.files.vector import Vector
+from isogi_core.files.zarr_axes import is_in_space, named_axes
 from isogi_core.storage.backend import BUCKET_SCHEMES, SECRET_PARTS, StoreUrl
 from isogi_core.storage.object_store import call_options, retry_options
 
@@ -198,11 +200,6 @@ SHIFT_NOTE = (
     "up to half a voxel off."
 )
 
-ASSUMED_AXES = {3: "zyx", 4: "czyx", 5: "tczyx"}
-"""Assumed names of axes without names, by their number."""
-
-OTHER_NAMES = {"time": "t", "channel": "c"}
-
 CHOSEN_AXES = {"t": "time", "c": "channel"}
 """Settings of a scene that choose along axes that are not spatial."""
 
@@ -213,7 +210,7 @@ class FoundArray:
     where there is none.
 
     ``notes`` say why it was chosen; ``labels`` are those of an image of labels, and ``levels`` its
-    resolutions.
+    resolutions. ``scales`` are coordinates along x, y, z, of an array that no image describes.
     """
 
     among: Hierarchy
@@ -223,6 +220,7 @@ class FoundArray:
     notes: tuple[str, ...] = ()
     labels: tuple[LabelName, ...] | None = None
     levels: int = 1
+    scales: tuple[Along | None, ...] = ()
 
 
 def open_zarr(
@@ -258,7 +256,7 @@ def open_zarr(
     shape = tuple(array.shape[n] for n in order)
     slabs = partial(_slabs, path, array, (tuple(picks), order), shape, packing)
     read = [array.path, *(pick for pick in picks if isinstance(pick, int))]
-    spacing, affine, unit = _placed(found)
+    place = _placed(found)
     times = dict(zip((axis.name for axis in found.axes), array.shape, strict=True)).get("t", 1)
     if times > 1:
         moment = (time or 0, times)
@@ -266,12 +264,14 @@ def open_zarr(
         moment = SINGLE_MOMENT
     unchosen = time is None and times > 1
     stamp = partial(_stamp, found.among, read)
-    notes = (*found.notes, *packing.notes)
+    notes = (*found.notes, *packing.notes, *place.notes)
     if found.given:
         kind = ("OME-Zarr", "its transformations")
+    elif place.said and not place.notes:
+        kind = ("Zarr", "the coordinates of its axes")
     else:
         kind = ("Zarr", "")
-    grid = Grid(shape, packing.dtype, spacing, slabs, stamp, affine, unit, notes)
+    grid = Grid(shape, packing.dtype, place.spacing, slabs, stamp, place.affine, place.unit, notes)
     grid = replace(
         grid, moment=moment, unchosen=unchosen, labels=found.labels, read_as=packing.read_as(*kind)
     )
@@ -350,21 +350,22 @@ def _order(axes: tuple[Axis, ...]) -> tuple[int, ...]:
     return tuple(names.index(name) for name in SPACE_AXES[::-1])
 
 
-def _placed(found: FoundArray) -> tuple[Vector, Affine | None, str]:
-    """Spacing, affine and unit of an array: the affine where its image says more than the length of
-    each axis.
+def _placed(found: FoundArray) -> Place:
+    """Place an array by its image, with an affine if that says more than the length of each axis;
+    else by the coordinates of its axes.
     """
     if found.given is None or found.given.matrix is None:
-        return (1.0, 1.0, 1.0), None, ""
+        place = place_by(found.scales)
+        notes = () if place.said else unread_spacing(found.array.attrs.asdict())
+        return replace(place, notes=(*place.notes, *notes))
     matrix, unit, letters = placed_in_space(found.given)
     x, y, z = (math.hypot(*column) for column in matrix[:, :3].T.tolist())
     alone = np.column_stack([np.diag([x, y, z]), np.zeros(3)])
-    placed = bool(letters) or not np.array_equal(matrix, alone)
-    return (
-        (x, y, z),
-        Affine.of(matrix, letters) if placed and np.isfinite(matrix).all() else None,
-        unit,
-    )
+    lies = bool(letters) or not np.array_equal(matrix, alone)
+    affine = Affine.of(matrix, letters) if lies and np.isfinite(matrix).all() else None
+    odd = odd_units(found.given)
+    notes = (f"Its axes are in {odd}, taken as one unit: {SPACING_KEY}.",) if odd else ()
+    return Place((x, y, z), affine, unit, notes, said=True)
 
 
 def _stamp(among: Hierarchy, part: list[Any]) -> str:
@@ -408,6 +409,10 @@ def find_array(path: Path | str, level: int | None) -> FoundArray:
             chosen = image[level or 0].path
         else:
             chosen = None
+        if chosen is None and not image and level is None:
+            only = _only_field(path, among, node, inside)
+            if only is not None:
+                return replace(only, notes=(*notes, *only.notes))
         if chosen is None:
             raise VolumeError(_no_array(path, node, image, level))
         array = _open(path, among, f"{inside}/{chosen}".strip("/"))
@@ -457,10 +462,10 @@ def _no_array(
     return f"'{path}' is a Zarr group and no image: it holds {names}; name an array, or an image."
 
 
-def _members(group: zarr.Group) -> list[str]:
-    """Some names in a group; empty where it cannot be listed, as over plain HTTP."""
+def _members(group: zarr.Group, most: int = 8) -> list[str]:
+    """Name some members of a group; none if it cannot be listed, as over plain HTTP."""
     try:
-        return sorted(group.keys())[:8]
+        return sorted(group.keys())[:most]
     except Exception:  # of many kinds, for stores that cannot list
         return []
 
@@ -486,35 +491,41 @@ def _with_axes(
     path: Path | str, among: Hierarchy, array: "zarr.Array[Any]", given: Resolution | None
 ) -> FoundArray:
     """The array with its axes: those of the image, else by their names, else by their number."""
-    told = given is not None and given.matrix is not None
-    if given is not None and told:
+    placed = given is not None and given.matrix is not None
+    scales: tuple[Along | None, ...] = ()
+    if given is not None and placed:
         axes = array_axes(given)
     else:
-        axes = tuple(map(Axis, _names(array) or ASSUMED_AXES.get(array.ndim, "")))
+        names, scales = named_axes(array, partial(_open, path, among))
+        axes = tuple(map(Axis, names))
     if len(axes) != array.ndim:
         raise VolumeError(
             f"'{path}' has {array.ndim} dimensions and {len(axes)} axes: choose one scalar "
             "field of it."
         )
-    return FoundArray(among, array, axes, given if told else None)
+    return FoundArray(among, array, axes, given if placed else None, scales=scales)
 
 
-def _names(array: "zarr.Array[Any]") -> tuple[str, ...]:
-    """Names of the dimensions, where all are known ones; empty otherwise."""
-    given: Any = (
-        getattr(array.metadata, "dimension_names", None)
-        or array.attrs.asdict().get("_ARRAY_DIMENSIONS")
-        or ()
-    )
-    names = [OTHER_NAMES.get(str(name).lower(), str(name).lower()) for name in given]
-    spatial = [n for n, name in enumerate(names) if name not in CHOSEN_AXES]
-    if len(spatial) == 3 and not any(
-        names[n] in SPACE_AXES for n in spatial
-    ):  # such as depth, latitude and longitude
-        for n, name in zip(spatial, SPACE_AXES[::-1], strict=True):
-            names[n] = name
-    known = set(names) <= {*SPACE_AXES, *CHOSEN_AXES} and len(set(names)) == len(names)
-    return tuple(names) if known else ()
+def _only_field(
+    path: Path | str, among: Hierarchy, group: zarr.Group, inside: str
+) -> FoundArray | None:
+    """Find the array that a group without an image means: the only one of three dimensions or more,
+    else the only one whose axes are x, y and z; None if there is no such one.
+    """
+    members = [
+        _open(path, among, f"{inside}/{name}".strip("/")) for name in _members(group, MOST_FIELDS)
+    ]
+    fields = [each for each in members if isinstance(each, zarr.Array) and each.ndim >= 3]
+    if len(fields) > 1:
+        fields = [each for each in fields if is_in_space(each, partial(_open, path, among))]
+    if len(fields) != 1:
+        return None
+    note = f"The only field of the group is shown: '{PurePath(fields[0].path).name}'."
+    return replace(_with_axes(path, among, fields[0], None), notes=(note,))
+
+
+MOST_FIELDS = 64
+"""Members of a group that are looked at for its only field."""
 
 
 def _pick(path: Path | str, found: FoundArray, place: int, chosen: dict[str, int | None]) -> int:

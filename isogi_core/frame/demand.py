@@ -68,7 +68,8 @@ def first_texels(offsets: np.ndarray, bits: int) -> np.ndarray:
 
 def most_seen(offsets: np.ndarray, *views: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     """Return the largest footprint of each texel at ``offsets`` in any of several ``views``,
-    each given as (offsets, footprints); (m,) float32.
+    each given as (offsets, footprints); (m,) float32. The ``offsets`` ascend, and contain those of
+    each view.
     """
     seen = np.zeros(len(offsets), np.float32)
     for offsets_of_view, footprints in views:

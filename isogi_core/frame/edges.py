@@ -98,7 +98,8 @@ def sample_edges(
     ``walls`` and the faces of a window have edges as the surface has. Samples that miss all of
     these show the ``glow``, if there is any.
     """
-    # Edges are found in the developed picture, as that is what one sees.
+    # Find edges in the developed picture, as a screen shows it: contrasts there are those that one
+    # sees.
     pixels, count = find_edges(
         lit(frame.radiance, frame.state, exposure, marked=False), frame.state
     )

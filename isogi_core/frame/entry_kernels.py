@@ -174,8 +174,8 @@ CALLED_IF: Mapping[Any, Callable[[Scene, bool], bool]] = {
     carry_ratios: lambda scene, projects: projects or carries_irradiance_ratios(scene, "gi", False),
     carry_light: lambda scene, _: not carries_irradiance_ratios(scene, "gi", False),
 }
-"""Conditions under which frames of a scene call a kernel, given the scene, and whether it
-projects texels; see also ``uncalled``.
+"""Conditions under which frames of a scene call a kernel: functions of the scene, and of a truth,
+True if it projects texels. See also ``uncalled``.
 """
 
 OTHER_KERNELS = (
@@ -209,7 +209,8 @@ def first_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
 
 def frame_kernels(scenes: Iterable[Scene], surveyed: bool = True) -> tuple[Any, ...]:
     """Return the kernels that frames of any of the ``scenes`` call: those of paths first, then in
-    the order of KERNELS.
+    the order of KERNELS. Kernels of paths that only checks trace are left out, as they may be
+    compiled later: see ``other_kernels``.
 
     A survey of the volume tells if a scene projects texels, and calls kernels itself: scenes that
     are not ``surveyed`` count as if they do.

@@ -1,5 +1,5 @@
-"""Glow as the eye sees it: the light that the camera's rays gather on their way to what pixels
-show.
+"""Glow as the eye sees it: the light that the camera's rays gather on their way to the points that
+pixels show.
 """
 
 import math
@@ -21,7 +21,7 @@ from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.prepared.prepared_scene import PreparedScene
 
 Layer = tuple[np.ndarray, np.ndarray, np.ndarray | float]
-"""Part of what rays show: ray numbers, points and shares; see ``Frame.layers``."""
+"""Part of the content of rays: ray numbers, points and shares; see ``Frame.layers``."""
 
 MIN_RAY_SHARE = 1e-6
 """Share of a ray below which nothing is gathered behind the layers that it shows."""
@@ -128,11 +128,11 @@ def with_glow(
     tiles: Tiles,
     watch: Stopwatch,
 ) -> Frame:
-    """Return the ``frame`` with the glow in front of what it shows; the same frame if nothing
-    glows.
+    """Add the glow in front of all that a ``frame`` shows, in place; return the frame with it. If
+    nothing glows, return the same frame.
 
-    The gathered glow is ``kept`` by a ``key``, for any colour and strength. Raises Cancelled, and
-    ViewError if the view asks for glow and nothing glows.
+    The gathered glow is ``kept``, for any colour and strength, by a ``key`` that names the camera
+    and the surface. Raises Cancelled, and ViewError if the view asks for glow and nothing glows.
     """
     glow = EyeGlow.of(prepared, frame.view.glow)
     if glow is None:

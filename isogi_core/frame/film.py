@@ -132,6 +132,9 @@ def develop(
 def seen_through(picture: np.ndarray, left: np.ndarray, ground: tuple[float, ...]) -> np.ndarray:
     """Add the ``ground`` to a ``picture`` (h, w, 3) uint8 of surfaces that let the share
     ``left`` (h, w) of it pass.
+
+    The ground is a colour of the screen, so it is added after exposure and tone curve, to the
+    linear light that the screen shows. Pixels without any surface have the ground already.
     """
     some = (left > 0.0) & (left < 1.0)
     found = picture.copy()

@@ -56,8 +56,8 @@ def fitted_to_all(
     renderer: Renderer, stands: Sequence[Stand], projection: str = PROJECTIONS[0]
 ) -> tuple[Vector, float] | None:
     """Return the world's target, and the distance from it in radii, at which all ``stands`` show
-    their surfaces and glow whole from every azimuth, and walls from their own azimuth; None if
-    there is no surface.
+    their surfaces and glow whole from every azimuth, and walls from the azimuth of the stand, as
+    rooms are looked into from one side; None if there is no surface.
 
     The target is the middle of all of that, for all views. Distance and target are for cameras with
     this ``projection``.

@@ -360,8 +360,8 @@ class Frame:
 
     @cached_property
     def airy(self) -> np.ndarray | None:
-        """Mark the pixels that show glow alone, in front of the background; (h, w) bool, None
-        if nothing glows.
+        """Mark the pixels that show glow and no surface, wall or face behind it, so that the
+        background shines through; (h, w) bool, None if nothing glows.
         """
         if self.glow is None:
             return None
@@ -382,7 +382,7 @@ class Frame:
     @cached_property
     def _tally(self) -> tuple[np.ndarray, np.ndarray]:
         """The number of pixels in each state, (4,); and the sums of luminance and of (luminance
-        · error)² over the surface, (2,).
+        · error)² over all pixels that have a state, those of walls too, (2,).
         """
         counts = np.zeros(4, np.int64)
         sums = np.zeros(2)
@@ -497,8 +497,10 @@ class Frame:
 
     @cached_property
     def controlled(self) -> np.ndarray:
-        """The luminance of the surface that the picture shows at its control pixels; (k,)
-        float64.
+        """The luminance that leaves the surface at the control pixels of the picture, as it is
+        shown; (k,) float64.
+
+        Glow before the surface is left out, as paths of controls start from the surface.
         """
         known = self.quality.known
         if known is None:

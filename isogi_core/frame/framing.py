@@ -65,7 +65,8 @@ def frame_of(
     if texels and light.view.shading == "gi":
         expected = expected_error(scene, gbuffer.isovalue)
 
-    # Name all that the picture depends on besides scene, light and view.
+    # Name all that the picture depends on and that ``version_of`` leaves out: the light that was
+    # read, and window and glow, which are no part of a view's repr.
     read = b""
     if reading:
         read += reading.version
@@ -95,8 +96,8 @@ def linear_greys() -> np.ndarray:
 
 
 def values_at(volume: Volume, points: np.ndarray) -> np.ndarray:
-    """Return the values of a volume's file at ``points`` (n, 3) float32 in index space, within
-    its box; (n,) float64.
+    """Return the values of a volume at ``points`` (n, 3) float32 in index space, within its box:
+    trilinear between voxels, in the file's units; (n,) float64.
     """
     voxels = np.empty(len(points), np.float32)
     read_values(volume.voxels, points, voxels)

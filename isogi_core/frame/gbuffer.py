@@ -153,8 +153,8 @@ class GBuffer:
         return self.of_these(self.shown(tiles).part(places))
 
     def of_these(self, shown: SurfacePoints, walls: OtherPoints | None = None) -> "GBuffer":
-        """Return a G-buffer of the points ``shown``, whose pixels ascend, and of ``walls``; all
-        else is as here.
+        """Return a G-buffer with the same camera, picture and surface, of the points ``shown``
+        alone, whose pixels ascend, and of ``walls``: without faces, and without walls by default.
         """
         view = (self.shape, self.spacing, self.eye, self.surface)
         walls = walls or OtherPoints.none()

@@ -86,11 +86,13 @@ class RotatedLight:
         return term.light
 
     def light_of(self, layer: Layer) -> np.ndarray:
-        """Return the rotated light that a ``layer``'s coefficients are multiplied by in all;
-        (3, n²) float64 linear RGB.
+        """Return the rotated light by which the coefficients of a ``layer`` are multiplied, if its
+        light is not of glows; (3, n²) float64 linear RGB.
         """
         term = self.seen.term_of(layer)
-        # Layers of nodes are mixed to the albedo of the view by themselves: see ``colours_of``.
+        # Layers that are kept at several albedos, the nodes, are mixed to the albedo of the view in
+        # ``colours_of``. The light of their terms is weighted for that already, so take that of the
+        # spec.
         if layer.nodes:
             light = self.spec.light[:, : term.order**2]
         else:
@@ -363,7 +365,8 @@ def shoulder_light(camera: Camera) -> tuple[float, float, float]:
 
 def version_of(light: RotatedLight, read: bytes) -> str:
     """Return a hex digest of all that a picture is made of: scene, bake spec, view, and the light
-    that was ``read``.
+    that was ``read``. Of the view it counts the fields of its repr; callers name others in
+    ``read``.
 
     Light is summed in the order of the processor's registers, so their width is part of it.
     """

@@ -19,6 +19,9 @@ def scatter_at(
     ``weights`` (terms, 4) are from ``weights_between``, ``reflected`` (m,) is the share of the
     variance that reflected light has, and ``kept`` (m, terms) is band 0 of each term. Scatter is
     relative to the deviation of single paths, which falls with the albedo, too.
+
+    Noise was estimated at the highest albedo that views may ask for. So at the other one reflected
+    light has no more variance, and paths no larger squares; the limits below keep to that.
     """
     now, then, paths_now, paths_then = np.maximum(kept @ weights, np.float32(1e-30)).T
     # The part of the variance that reflected light has falls as the mean square of its paths.
@@ -42,8 +45,8 @@ def weights_between(seen: BakeSpec, judged: BakeSpec) -> np.ndarray:
 
 
 def reflected_weights(spec: BakeSpec) -> np.ndarray:
-    """Return the weight of band 0 of each term in the mean square of reflected paths, apart from
-    the light that they bring; (terms,) float64.
+    """Return the weight of band 0 of each term in the mean square of reflected paths, without the
+    light that they meet, which is the same for any albedo; (terms,) float64.
 
     A path that leaves after k bounces brings R^k; the square of that is light of the albedo R². Of
     colours R_c that luminance mixes with w_c, it is Σ w_c w_d (R_c R_d)^k.

@@ -177,24 +177,28 @@ def held_chunks(loader: Loader, chunks: Sequence[Index]) -> Iterator[Held | None
 def join_readings(
     base: Reading, projected: Reading, distances: Distances, pool: PagePool
 ) -> ProjectedReading:
-    """Join the readings of ``base`` texels and of the ``projected`` ones in a ``pool``.
+    """Join the readings of ``base`` texels and of the ``projected`` ones in a ``pool``: read each
+    texel from the one of the two that has the smaller error.
 
-    A projected texel is read once its error is below that of the base: of interpolation, by its
-    distance, and of noise.
+    The base has an error of interpolation, by its distance from the isosurface, and one of noise; a
+    projected texel has noise alone. If it is final it is always read, even at texels near enough to
+    do without.
     """
-    # Only texels that are far from the isosurface are projected, unless they cannot be.
+    # Only texels that are far from the isosurface are projected, unless they cannot be: void.
     beyond = distances.beyond(base.target)
     grade = projected.grade
     wanted = beyond & (grade != VOID_GRADE)
     # Compare the noise of each with interpolation and noise of the base.
     without = np.hypot(distances.errors, np.where(base.samples > 0, base.error, 1.0))
     fit = (grade == FINAL) | (wanted & (grade == CONVERGING) & (projected.error <= without))
+    # Buried ones are moved into closed hollows, and are known to be dark.
     dark = wanted & (grade == BURIED_GRADE)
     pending = wanted & (grade < FINAL)
     grade = np.where(fit, grade, base.grade)
     grade[dark] = FINAL
     # A pixel is not final while a projected texel of it is not.
     grade[pending & (grade == FINAL)] = CONVERGING
+    # Mark the chunks with texels that lack light, of either kind.
     lacks = pending | (base.grade < FINAL) & ~wanted
     if len(grade):
         short = np.logical_or.reduceat(lacks, base.bounds[:-1])

@@ -250,8 +250,9 @@ def unlit_frame(
 
 
 def undrawn_frame(renderer: Renderer, view: View, texels: ViewTexels, reading: Reading) -> Frame:
-    """Return the frame of a view before it is drawn: white, and provisional everywhere; its
-    ``texels`` and their ``reading`` tell the light that it lacks.
+    """Return the frame of a view before it is drawn: white, and provisional wherever it shows the
+    surface. Its ``texels`` and their ``reading`` tell the light that it lacks, so that bakes begin
+    before a picture is shaded.
     """
     gbuffer = texels.gbuffer
     count = view.width * view.height

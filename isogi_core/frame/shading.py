@@ -74,8 +74,10 @@ def shade(
     """Shade a picture that reads no texels: by a local model, or by paths from its pixels.
     Raises Cancelled.
     """
+    # Find the normals now: the G-buffer keeps them, and their time counts as a stage.
     with watch.stage("normals"):
         gbuffer.shown(tiles)
+    # Paths reflect light by the colours of the surface themselves; local models leave them out.
     if light.view.shading == "path_traced":
         with watch.stage("paths"):
             return shade_by_paths(gbuffer, light, target, tiles)

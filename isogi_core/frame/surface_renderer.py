@@ -104,7 +104,7 @@ class SurfaceRenderer:
         """
         light = self._light(view)
         target = until.target
-        # Glass keeps no texels: rays through its pixels find what it shows.
+        # Glass keeps no texels: rays through its pixels find the walls and the sky that it shows.
         if view.shading == "gi" and self.prepared.scene.surfaces.material.refracts:
             return self._through.draw(gbuffer, light, target, tiles, watch)
         # Global illumination and vicinity shading come from texels, all other shadings from local

@@ -308,7 +308,8 @@ def grade_rows(
     """Return the grade of the light in each row, by its ``error`` and its ``samples``;
     (texels,) uint8.
     """
-    # A boolean is 0 or 1, so adding CONVERGING makes FINAL of good light.
+    # A boolean is 0 or 1, so adding CONVERGING makes FINAL of good light. The samples are those of
+    # the layer that has the fewest: with none, some layers are not baked yet.
     grade = good_enough(error, samples, target, enough).view(np.uint8)
     grade += CONVERGING
     grade[samples == 0] = PARTIAL_GRADE

@@ -103,14 +103,14 @@ class ViewTexels:
 
     @cached_property
     def offsets(self) -> tuple[np.ndarray, ...]:
-        """The offset of each texel in its chunk, chunk by chunk; (m,) int32 each."""
+        """The offset of each texel in its chunk, int32: an array for each chunk, of its texels."""
         offsets = (self.places % self.lattice.texels).astype(np.int32)
         return tuple(offsets[a:b] for a, b in pairwise(self.bounds.tolist()))
 
     @cached_property
     def footprints(self) -> tuple[np.ndarray, ...]:
-        """The weight of each texel's variance in the sum of the variances of all pixels, chunk by
-        chunk; (m,) float32 each.
+        """The weight of each texel's variance in the sum of the variances of all pixels, float32:
+        an array for each chunk, of its texels.
 
         It is the sum of the squares of the texel's weights in them, see ``add_footprints``, and at
         least LEAST_SEEN of the mean: texels that are hardly seen are to become final, too.

@@ -18,6 +18,7 @@ from isogi_core.files.scene_file import (
     read_name,
     read_table,
 )
+from isogi_core.files.spelling import shortest
 from isogi_core.files.vector import Vector, triple
 from isogi_core.model.lights import LARGEST_LIGHT, Colour
 from isogi_core.model.volume import Volume
@@ -260,8 +261,8 @@ def _voxels(values: tuple[float, float], volume: Volume) -> tuple[float, float]:
     low, high = volume.value_range
     if values[0] > high or values[1] < low:
         raise SceneError(
-            f"A glow's values are {values[0]:g} to {values[1]:g}, and the volume's {low:g} to "
-            f"{high:g}: no voxel glows."
+            f"A glow's values are {shortest(values[0])} to {shortest(values[1])}, and the volume's "
+            f"{shortest(low)} to {shortest(high)}: no voxel glows."
         )
     one, other = (float(volume.normalise_isovalue(value)) for value in values)
     return min(one, other), max(one, other)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from isogi_core.errors import SceneError, ViewError, advice
 from isogi_core.files.scene_file import are_numbers, is_number
+from isogi_core.files.spelling import shortest
 from isogi_core.files.vector import triple
 from isogi_core.model.lights import LARGEST_LIGHT, Colour
 
@@ -250,19 +251,22 @@ def pinned_from_mapping(table: Mapping[str, Any], volume: "Volume") -> PinnedSur
     if not is_number(isovalue) or not low <= isovalue <= high:
         given = table.get("isovalue")
         raise SceneError(
-            f"A surface's isovalue is {given!r}: give a number from {low:g} to {high:g}."
+            f"A surface's isovalue is {given!r}: give a number from {shortest(low)} to "
+            f"{shortest(high)}."
         )
     if not is_number(clear) or not 0.0 <= clear <= 1.0:
         raise SceneError(
-            f"The surface at {isovalue:g} has clear = {clear!r}: give a number from 0, opaque, "
-            "to 1."
+            f"The surface at {shortest(isovalue)} has clear = {clear!r}: give a number from 0, "
+            "opaque, to 1."
         )
     if not isinstance(name, str) or not (name == "" or name.isprintable()):
-        raise SceneError(f"The surface at {isovalue:g} is named {name!r}: give it a word or a few.")
+        raise SceneError(
+            f"The surface at {shortest(isovalue)} is named {name!r}: give it a word or a few."
+        )
     # No more light may leave the surface than falls on it.
     albedo = _colour(table, "albedo", 0.7)
     transmission = _colour(table, "transmission", 0.0)
-    refuse_gain(albedo, transmission, f"The surface at {isovalue:g}")
+    refuse_gain(albedo, transmission, f"The surface at {shortest(isovalue)}")
     return PinnedSurface(float(isovalue), albedo, float(clear), name.strip(), transmission)
 
 
@@ -271,7 +275,7 @@ def _colour(table: Mapping[str, Any], key: str, fallback: float) -> Colour:
     given = table.get(key, fallback)
     listed = [given] * 3 if is_number(given) else given
     if not are_numbers(listed, 3) or not all(0.0 <= share <= 1.0 for share in listed):
-        at = f"The surface at {table['isovalue']:g}"
+        at = f"The surface at {shortest(table['isovalue'])}"
         raise SceneError(f"{at} has {key} {given!r}: give a number from 0 to 1, or three.")
     return triple(listed)
 

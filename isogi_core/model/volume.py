@@ -15,6 +15,7 @@ from typing import Any, NewType
 import numpy as np
 
 from isogi_core.files.grid import Grid
+from isogi_core.files.spelling import shortest
 from isogi_core.files.vector import Vector, triple
 from isogi_core.model.value_survey import COPY_STAGES, Progress, no_progress, normalise, survey
 
@@ -135,6 +136,15 @@ PLAIN_ORIENTATION = Orientation()
 """The orientation of a volume whose world is its voxel indices times spacing."""
 
 
+CUT_AWAY_VALUE = -8.0
+"""What voxels that are taken away hold, in units of voxels: those that are left are from 0 to 1,
+but for outliers.
+
+A face of the isovalue c lies (f - c) / (f - CUT_AWAY_VALUE) of a voxel before the last voxels left,
+f. Were it farther, faces would be flatter, and edges beside them rounder: normals are smoothed over
+four voxels.
+"""
+
 CORE_LIMIT = 4.0
 """Largest normalised voxel of the core; outliers are a hundred times larger."""
 
@@ -153,8 +163,23 @@ other: it refuses an isovalue that was not normalised, and a normalised one for 
 """
 
 
-UNMEASURED_FIELDS = ("voxels", "orientation", "moment", "segmented")
+UNMEASURED_FIELDS = ("voxels", "orientation", "moment", "segmented", "level", "deviations", "cell")
 """Fields of a volume that are not facts of its voxels, and so are not kept with these."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One cell of a field that repeats along the axes that are ``periodic``: its first voxels along
+    x, y, z, and those after its last, which are the first ones again; ``spans``.
+    """
+
+    spans: tuple[tuple[int, int], tuple[int, int], tuple[int, int]]
+    periodic: tuple[bool, bool, bool]
+
+    def of(self, voxels: np.ndarray) -> np.ndarray:
+        """The ``voxels`` (z, y, x) of the cell."""
+        x, y, z = (slice(*span) for span in self.spans)
+        return voxels[z, y, x]
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,6 +199,8 @@ class Volume:
       of the world's lights in the box.
     - ``moment``: number of the step in a series in time, and the number of steps.
     - ``segmented``: the field is made from a segmentation's labels.
+    - ``level``, ``deviations``: those of the volume's ``Grid``.
+    - ``cell``: one cell of a field that repeats; None if the field does not.
     """
 
     voxels: np.ndarray
@@ -193,6 +220,9 @@ class Volume:
     orientation: Orientation = PLAIN_ORIENTATION
     moment: tuple[int, int] = (0, 1)
     segmented: bool = False
+    level: float | None = None
+    deviations: float | None = None
+    cell: Cell | None = None
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -244,6 +274,11 @@ class Volume:
             np.float64(np.float32(normalise(np.array(float(value)), self.offset, self.scale)))
         )
 
+    def spell(self, value: float) -> str:
+        """Write an isovalue with the fewest digits that give the same surface."""
+        level = self.normalise_isovalue(value)
+        return shortest(value, lambda other: self.normalise_isovalue(other) == level)
+
     def normalise_span(self, one: float, other: float) -> tuple[Isovalue, Isovalue]:
         """Convert a range of isovalues of the volume's file to the units of its voxels; the
         least comes first.
@@ -292,6 +327,10 @@ class Volume:
         share = at - first
         if share > 0.0:
             values = (1.0 - share) * values + share * planes[first + 1]
+        if self.cell is not None:
+            # what is cut away around the cell is no value of the field
+            ends = planes[first : first + 1 + (share > 0.0)]
+            values = np.where((ends == CUT_AWAY_VALUE).any(axis=0), np.nan, values)
         return self.offset + self.scale * values[::-1]
 
     def counted(

@@ -4,6 +4,7 @@ a demo.
 
 import math
 import re
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import SceneError
-from isogi_core.files.scene_file import DEFAULT_DEMO, SceneSource, Settings, find_source
+from isogi_core.files.scene_file import DEFAULT_DEMO, SceneSource, Settings, find_source, is_number
 from isogi_core.kernels.shading.lattice import DEFAULT_CHUNK_SIDE
 from isogi_core.kernels.tracing.field import RAY_OFFSET_VOXELS
 from isogi_core.kernels.transport.harmonics import MAX_ORDER
@@ -29,6 +30,7 @@ from isogi_core.plan.lighting import SceneLighting, read_lighting
 from isogi_core.plan.lobe_choice import MANY_LOBES_SEARCHED as MOST_LOBES
 from isogi_core.plan.planner import plan_scene
 from isogi_core.plan.scene import CHUNK_SIDES, NORMAL_KINDS, Scene, SceneSettings
+from isogi_core.plan.starts import Start, both_signs, find_start
 from isogi_core.plan.surfaces import SceneSurfaces, read_surfaces
 from isogi_core.plan.volumes.colours import colours_of_labels, find_table, read_colours
 from isogi_core.plan.volumes.labels import ALL_LABELS, LABEL_ISOVALUE, find_labels
@@ -91,7 +93,12 @@ def open_whole(settings: Settings, progress: Progress) -> tuple[Settings, Volume
     """
     whole = open_volume(settings, progress)
     settings = with_labels(settings, whole)
-    return settings, right_side_out(settings, whole, progress)
+    settings, start = with_start(settings, whole)
+    whole = right_side_out(settings, whole, progress)
+    if start is not None:
+        notes = (*whole.orientation.notes, start.why)
+        whole = replace(whole, orientation=replace(whole.orientation, notes=notes))
+    return settings, whole
 
 
 def scene_around(
@@ -178,6 +185,67 @@ def with_labels(settings: Settings, whole: Volume) -> Settings:
     )
 
 
+ONE_SURFACE_SETTINGS = (
+    *("surfaces", "albedo", "albedos", "clear", "transmission", "material", "shine", "rotating"),
+    *("labels", "solid", "representation", "order", "indirect_order", "bounces", "lobes"),
+)
+"""Settings of a scene that says itself how its surface is: no second one is pinned then."""
+
+
+def with_start(settings: Settings, whole: Volume) -> tuple[Settings, Start | None]:
+    """The settings of the scene, which say from now on where it starts if Otsu's threshold is no
+    good start, and pin the surface of the other sign; and that start, None if the scene says it.
+
+    Otsu's threshold stays the start of a series in time, which is one for all steps, and of a scene
+    that says a range of isovalues.
+    """
+    settings = without_start(settings, whole)
+    document = settings.source.document
+    demo = settings.text("volume", DEFAULT_DEMO).startswith("demo:")
+    left = demo or "isovalues" in document or whole.moment[1] > 1
+    if left or find_labels(settings) is not None:
+        return settings, None
+    start = find_start(whole, otsu(*whole.histogram()))
+    if start is None:
+        return settings, None
+    changes: dict[str, Any] = {}
+    if "isovalue" not in document:
+        changes["isovalue"] = start.isovalue
+    shown = document.get("isovalue", start.isovalue)
+    alone = any(key in document for key in ONE_SURFACE_SETTINGS) or not is_number(shown)
+    low, high = whole.value_range
+    if start.signed and not alone and find_table(settings) is None and low <= -shown <= high:
+        changes |= both_signs(float(shown)) if shown else {}
+    elif start.signed:
+        start = start.one_sign
+    if "isovalue" in document:
+        return settings_with(settings, {**document, **changes}, settings.source.found), None
+    return settings_with(settings, {**document, **changes}, True), start
+
+
+def without_start(settings: Settings, whole: Volume) -> Settings:
+    """The settings of a scene that is opened anew, as at another step or smoothed, without a start
+    that was found before, if that lies outside of the values that there are now.
+    """
+    source = settings.source
+    if not source.found:
+        return settings
+    low, high = whole.value_range
+    shown = source.document["isovalue"]
+    signed = source.document.get("surfaces") == both_signs(shown)["surfaces"]
+    if low < shown < high and (not signed or low < -shown < high):
+        return settings
+    gone = both_signs(shown) if signed else {"isovalue": shown}
+    rest = {key: value for key, value in source.document.items() if key not in gone}
+    return settings_with(settings, rest, False)
+
+
+def settings_with(settings: Settings, document: Mapping[str, Any], found: bool) -> Settings:
+    """The ``settings`` of a scene with another ``document``; see ``SceneSource``."""
+    source = replace(settings.source, document=document, found=found)
+    return Settings(source, settings.known)
+
+
 def colours_by_data(settings: Settings, whole: Volume) -> SurfaceColours | None:
     """Read the colours of a scene; None if it has one albedo. ``whole`` is its volume before it is
     cut.
@@ -229,7 +297,7 @@ def border_above(volume: Volume, isovalue: float) -> float:
     """Return the share of the box's border that is above an ``isovalue``. The faces across x
     are left out, as reading them would touch every page of a file.
     """
-    voxels = volume.voxels
+    voxels = volume.voxels if volume.cell is None else volume.cell.of(volume.voxels)
     level = volume.normalise_isovalue(isovalue)
     faces = (voxels[0], voxels[-1], voxels[:, 0], voxels[:, -1])
     return sum(int((face > level).sum()) for face in faces) / sum(face.size for face in faces)

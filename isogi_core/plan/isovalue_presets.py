@@ -16,6 +16,7 @@ import numpy as np
 
 from isogi_core.errors import SceneError
 from isogi_core.files.scene_file import Settings, is_number
+from isogi_core.files.spelling import shortest
 from isogi_core.kernels.transport.harmonics import cosine_lobe_factors
 from isogi_core.model.environment import pixel_directions
 from isogi_core.model.lights import Colour
@@ -224,7 +225,7 @@ def read_presets(settings: Settings, isovalues: tuple[float, float]) -> tuple[Pr
 
 def suggested_presets(values: tuple[float, ...]) -> tuple[Preset, ...]:
     """Make presets that are named by their isovalues."""
-    return tuple(Preset(f"{value:.6g}", value, suggested=True) for value in values)
+    return tuple(Preset(shortest(value), value, suggested=True) for value in values)
 
 
 def _preset(entry: Mapping[str, Any], isovalues: tuple[float, float]) -> Preset:
@@ -247,7 +248,8 @@ def _preset(entry: Mapping[str, Any], isovalues: tuple[float, float]) -> Preset:
     low, high = isovalues
     if not is_number(isovalue) or not low <= isovalue <= high:
         raise SceneError(
-            f"The preset '{name}' has isovalue {isovalue!r}, not a number from {low:g} to {high:g}."
+            f"The preset '{name}' has isovalue {isovalue!r}, not a number from "
+            f"{shortest(low)} to {shortest(high)}."
         )
     return Preset(name.strip(), float(isovalue))
 

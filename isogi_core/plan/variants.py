@@ -35,6 +35,7 @@ from isogi_core.model.volume import Isovalue, Volume
 from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.planner import complete
 from isogi_core.plan.scene import Scene
+from isogi_core.plan.starts import both_signs
 from isogi_core.plan.volumes.masks import cut_away, voxels_left
 
 
@@ -138,6 +139,18 @@ def with_clears(scene: Scene, clears: Clears, name: str) -> Scene:
         scene.source.document, [each.table for each in scene.surfaces.pinned], clears
     )
     return remade(scene, document | {"rotating": scene.lighting.rotating}, scene.volume, name)
+
+
+def at_both_signs(scene: Scene, isovalue: float) -> Scene:
+    """The scene of a field of both signs at another ``isovalue``, and with the other sign's surface
+    at minus that; any other scene as it is. Raises as ``build_scene`` does.
+    """
+    document = scene.source.document
+    started = both_signs(scene.isovalue)["surfaces"]
+    low, high = scene.volume.value_range
+    if document.get("surfaces") != started or not isovalue or not low <= -isovalue <= high:
+        return scene
+    return remade(scene, {**document, **both_signs(isovalue)}, scene.volume)
 
 
 def with_hidden(scene: Scene, hidden: Hidden, name: str, like: Scene | None = None) -> Scene:

@@ -266,12 +266,18 @@ class SurfaceSize:
     is_open: bool
 
 
-def surface_size(voxels: np.ndarray, isovalue: Isovalue, matrix: np.ndarray) -> SurfaceSize:
+def surface_size(
+    voxels: np.ndarray,
+    isovalue: Isovalue,
+    matrix: np.ndarray,
+    periodic: tuple[bool, bool, bool] = (False, False, False),
+) -> SurfaceSize:
     """Measure the surface of ``voxels`` (nz, ny, nx) at a normalised isovalue; the side above is
     solid.
 
     ``matrix`` (3, 3) maps steps between voxels, x first, to the world. Cells next to a voxel that
-    is NaN have no surface, and are not solid.
+    is NaN have no surface, and are not solid. Sides across axes that are ``periodic`` are no border
+    of the solid: the field goes on there.
     """
     level = float(isovalue)
     # Every other voxel must reach as far as the rest for a comparison: drop an even side's last
@@ -285,7 +291,11 @@ def surface_size(voxels: np.ndarray, isovalue: Isovalue, matrix: np.ndarray) -> 
     # voxel.
     error = (np.abs(finer) + np.abs(_plain(even, level, matrix) - every_other)) / 3.0
     return SurfaceSize(
-        float(size[0]), float(error[0]), float(size[1]), float(error[1]), _reaches(voxels, level)
+        float(size[0]),
+        float(error[0]),
+        float(size[1]),
+        float(error[1]),
+        _reaches(voxels, level, periodic),
     )
 
 
@@ -322,10 +332,16 @@ def _sums(
     return total
 
 
-def _reaches(voxels: np.ndarray, level: float) -> bool:
-    """Return True if the part above a level reaches a side of the volume."""
-    sides = (voxels[0], voxels[-1], voxels[:, 0], voxels[:, -1], voxels[..., 0], voxels[..., -1])
-    return any(bool((side > level).any()) for side in sides)
+def _reaches(voxels: np.ndarray, level: float, periodic: tuple[bool, bool, bool]) -> bool:
+    """Return True if the part above a level reaches a side of the volume; sides across axes that
+    are ``periodic`` do not count.
+    """
+    return any(
+        bool((side > level).any())
+        for axis, along in enumerate(periodic[::-1])
+        if not along
+        for side in np.moveaxis(voxels, axis, 0)[[0, -1]]
+    )
 
 
 def _halved(corners: np.ndarray) -> np.ndarray:

@@ -36,7 +36,7 @@ class KnownHosts:
             await self.app(scope, receive, send)
             return
         # A page of another site that resolves its name to this address is refused here: it names
-        # its own host.
+        # the host of that site.
         detail = (
             "This host name is not served here: use a loopback name, or set ISOGI_ALLOWED_HOSTS."
         )
@@ -258,6 +258,7 @@ class TokenBearers:
         """Return a redirect to the address without the token, with the cookie, so that the
         token leaves the browser's history.
         """
+        # The new address is relative, as a proxy may serve this page below another path.
         pairs = parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True)
         rest = urlencode([(name, value) for name, value in pairs if name != "token"])
         answer = RedirectResponse(

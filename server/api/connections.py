@@ -251,7 +251,8 @@ class Connection(H11Protocol):
         if not self._unsent:
             self._taken = self.loop.time()
             self._unsent = self.unsent
-        # Answers that wait for slow clients take memory of all.
+        # Answers that wait for slow clients take memory from everybody. One slow client alone keeps
+        # its connection: nobody else waits for memory.
         slow = [each for each in self.connections if isinstance(each, Connection) and each.unsent]
         if sum(each.unsent for each in slow) > self.settings.max_unsent_mb << 20 and len(slow) > 1:
             min(slow, key=lambda each: each._taken).drop("memory")
@@ -263,6 +264,7 @@ class Connection(H11Protocol):
         if self.app is crowded:
             self.refuse(503, CONNECTIONS_TAKEN)
             return
+        # Pings of the stream find slow clients from now on.
         self._stop_checking()
         super().handle_websocket_upgrade(event)
 

@@ -13,6 +13,7 @@ from typing import TypeVar
 
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.files.light_files import WRITERS
+from isogi_core.files.spelling import shortest
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
 from isogi_core.model.scene_plan import MAX_SAMPLES
@@ -60,6 +61,7 @@ def begin(
     Raises BusyError, ViewError, SceneError if the scene does not fit the format, and ForbiddenError
     for a volume if the server does not hand out voxels.
     """
+    # The formats of WRITERS hold the whole lattice, the others only a mesh of the surface.
     if f".{params.f}" in WRITERS and not service.settings.hands_out_voxels:
         raise ForbiddenError(VOLUMES_WITHHELD)
     # Find errors now, so that the request is refused and no job fails later.
@@ -125,7 +127,7 @@ class Export:
         async with exports.turn:
             exports.make_room({each.id for each in self.service.jobs.all()}, needed)
             own = self.service.engine.variant(self.scene.id).base
-            output = exports.place(job.id, f"{own}-{self.view.isovalue:g}{self._suffix}")
+            output = exports.place(job.id, f"{own}-{shortest(self.view.isovalue)}{self._suffix}")
             await self._in_thread(partial(self._make, output, reporter(job)))
         good = (
             f"{summary.final:.0%} of its light final at a relative error of "

@@ -132,10 +132,10 @@ def refined_header(frame: Frame) -> str:
 
 
 def error_header(frame: Frame) -> str:
-    """Return the total error with its noise, 95 % interval and number of control pixels; or a
-    prediction before there are any.
+    """Return the picture's total relative error as a value with parameters (RFC 8941): its part by
+    noise, 95 % interval and number of control pixels; or a prediction before there are any.
 
-    If the error below which 99 % of the pixels stay is measured, it follows with its interval.
+    If the error below which 99 % of the pixels stay is measured, it follows with its 95 % interval.
     """
     total = frame.total
     stated = f"{total.likely:.5f}; noise={frame.noise:.5f}"

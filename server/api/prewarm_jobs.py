@@ -77,8 +77,8 @@ def begin(
     """Start the job that carries out an ``order``, or only forecasts it if ``dry``; ``client`` is
     its owner and address.
 
-    An order that is already being carried out is not started again: its job is returned. Raises
-    BusyError if there are too many jobs.
+    An order that is already being carried out is not started again: its job is returned. A forecast
+    bakes nothing, so several of one order may run. Raises BusyError if there are too many jobs.
     """
     prewarm = Prewarm(service, scene, order, dry, client[0])
     if dry:
@@ -91,7 +91,7 @@ def begin(
 
 @dataclass(eq=False)
 class Prewarm:
-    """An order that is carried out on a thread of its own, for a job that lives on the event loop.
+    """An order that is carried out on a separate thread, for a job that lives on the event loop.
 
     If ``recorded``, a server that restarts resumes it. ``rung`` is the least number of samples for
     texels of whole isosurfaces that are not good enough with fewer.
@@ -137,8 +137,10 @@ class Prewarm:
         return Record(store, *given, "server", self.owner)
 
     def _run(self, loop: asyncio.AbstractEventLoop, tell: Report, record: Record | None) -> Summary:
-        """Carry out the order, on the thread."""
+        """Carry out the order, or forecast it. Runs on the prewarm's thread."""
         lower_priority()
+        # The job and the queue of frames belong to the event loop, so that reports and frames go
+        # there. Checks of pictures run on threads of the engine, and need no loop.
 
         def report(step: Step) -> None:
             loop.call_soon_threadsafe(tell, step.share, str(step), step.left)
@@ -150,12 +152,14 @@ class Prewarm:
             return self._refine(view, target, prices, over)
 
         target = self.order.target_error or self.scene.target_error
-        # A resumed order keeps its deadline: the time that it took before is subtracted from the
-        # order.
+        # The deadline of an order is a time from its beginning. That of a resumed order is shorter
+        # by the time that it took before: see ``RecordDocument.rest``.
         if self.order.deadline is None:
             deadline = math.inf
         else:
             deadline = self.begun + self.order.deadline
+        # Each prewarm is a client for itself, so that several share the workers evenly, and it
+        # yields to all visitors.
         viewer = Viewer(("prewarm", next(_visits)), patient=True)
         place = (
             self.service.engine,
@@ -204,7 +208,8 @@ class Prewarm:
 
     def _refine(self, view: View, target: float, prices: Prices, over: threading.Event) -> bool:
         """Take one step of a picture's check; then idle as long as it took if clients wait for
-        frames. Raises Cancelled if ``over`` is set.
+        frames or have streams open, so that they get half of the processors' time. Raises Cancelled
+        if ``over`` is set.
         """
         begun = time.monotonic()
         more = self.service.engine.check(self.scene.id, view, target, self.cancelled, prices, over)
@@ -228,8 +233,8 @@ class Prewarm:
             coming.cancel()
 
     async def _frame(self, picture: PictureRequest) -> Frame:
-        """Return the frame of a picture; then idle as long as it took if clients wait for
-        frames.
+        """Return the frame of a picture; then idle as long as it took if clients wait for frames
+        or have streams open.
         """
         begun = time.monotonic()
         rank = self.service.rank(BACKGROUND_VIEWER, SURVEY_WAIT_SECONDS)

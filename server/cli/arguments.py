@@ -135,6 +135,7 @@ def options(table: dict[str, str]) -> Callable[[Command], Command]:
     """
 
     def decorate(command: Command) -> Command:
+        # The option that is added last comes first in the help.
         for name, text in reversed(table.items()):
             flag = f"--{name.replace('_', '-')}"
             command = click.option(flag, is_flag=name in SWITCH_OPTIONS, default=None, help=text)(
@@ -146,7 +147,7 @@ def options(table: dict[str, str]) -> Callable[[Command], Command]:
 
 
 VOLUME_OPTIONS = (
-    *("axes", "raw", "solid", "smooth", "pieces", "environment"),
+    *("axes", "raw", "solid", "smooth", "pieces", "environment", "periodic", "repeat"),
     *("cut", "surfaces", "hide", "material"),
 )
 """Options of ``volume_options``; given ones are appended to the target after a #."""
@@ -184,6 +185,17 @@ def volume_options(command: Callable[..., Any]) -> Callable[..., Any]:
         help="Hide pieces of fewer voxels than this, such as specks of noise; default: 0, none.",
     )
     @click.option("--environment", help=replace(KNOBS["environment"], help=LIGHT_HELP).text)
+    @click.option(
+        "--periodic",
+        help=(
+            "Along which axes the volume is one cell of a field that repeats, such as "
+            "true,true,false; default: as its file says."
+        ),
+    )
+    @click.option(
+        "--repeat",
+        help="How many cells of it to show along x, y and z, such as 2,2,1; default: 1,1,1.",
+    )
     @options({name: KNOBS[name].text for name in ("cut", "surfaces", "hide", "material")})
     @wraps(command)
     def placed(**given: Any) -> Any:
@@ -199,10 +211,13 @@ def volume_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def placed_target(target: str | None, placing: Mapping[str, str | None]) -> str | None:
-    """Append options about the volume to a command's target after a #; None if there is neither."""
+    """Append options about the volume to a command's target after a #: to that of a demo if no
+    target is given; None if there is neither target nor option.
+    """
     for key, value in placing.items():
         if value is not None:
             target = target or "demo:casting"
+            # A # in the name of a file that exists is a part of the name.
             chosen = "#" in target and not Path(target).exists()
             target = f"{target}{'&' if chosen else '#'}{key}={quote(value)}"
     return target

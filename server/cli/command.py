@@ -126,6 +126,8 @@ def serve(target: str | None, config: Path | None, **given: str | None) -> None:
     """
     with stopped_at_once():
         settings = settings_from(config, **given)
+        # Workers of this machine are forked from a process that takes a while to load: start it
+        # first.
         if not settings.scheduler:
             start_fork_server()
         module_of("serve").serve(target, settings)

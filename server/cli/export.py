@@ -16,6 +16,7 @@ from isogi_core.files.light_files import WRITERS, check_zarr
 from isogi_core.files.ome import size_of, write_image
 from isogi_core.files.scene_file import Settings as SceneSettings
 from isogi_core.files.scene_file import Target, find_source
+from isogi_core.files.spelling import shortest
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
 from isogi_core.model.scene_plan import MAX_SAMPLES
@@ -178,7 +179,7 @@ def exported(facts: Mapping[str, Any]) -> str:
     if "triangles" in facts:
         what = (
             f"{facts['vertices']:,} vertices and {facts['triangles']:,} triangles at "
-            f"{facts['isovalue']:g}"
+            f"{shortest(facts['isovalue'])}"
         )
     else:
         what = f"light at {facts['texels']:,} voxels"
@@ -207,7 +208,8 @@ def convert(target: str, output: Path) -> dict[str, Any]:
     if not name or name.startswith("demo:"):
         raise ParameterError(f"'{target}' is no volume of a file: give one.")
     grid, _ = open_own(settings)
-    # Refuse values that isogi could not show.
+    # Refuse values that isogi could not show. An image has no isovalue, so either side may be named
+    # as the solid one.
     check(grid, "above")
     with Progress("converting", "layer") as bar:
         lost = write_image(grid, output, bar.count)

@@ -133,16 +133,16 @@ def keyframes(request: FilmRequest) -> list[dict[str, str]]:
 
 def variant_of(target: str, views: Sequence[Mapping[str, str]]) -> str:
     """Return the ``target`` with the environment, cut, time, smoothing, hidden labels and material
-    that all views share.
+    that all views share, as the fragment of its address: ``a.nhdr#cut=…&time=3``.
 
-    Raises ParameterError if a view names surfaces.
+    Raises ParameterError if a view names surfaces: a film shows those of the scene.
     """
     if any("surfaces" in view for view in views):
         raise ParameterError(
             "A film shows the scene's own surfaces: change its [[surfaces]].", "surfaces"
         )
-    # A change that all views share becomes part of the target; views that differ in one are refused
-    # later.
+    # A change that all views share becomes part of the target, so that the film has a single scene.
+    # Views that differ in one are refused by ``film_path``.
     for key in ("environment", "cut", "time", "smooth", "hide", "material"):
         named = {view.get(key, "") for view in views}
         if len(named) == 1 and named != {""}:
@@ -164,20 +164,20 @@ def shots_of(
     knobs = with_first_view(scene, knobs, views)
     # Parameters that a view leaves out take the scene's values, so that the path can interpolate
     # them.
-    own = {name: str(value) for name, value in defaults(scene).items()}
+    usual = {name: str(value) for name, value in defaults(scene).items()}
     if not any(is_placed(view) for view in (knobs, *views)):
-        own["azimuth"], own["elevation"] = map(repr, scene.front)
+        usual["azimuth"], usual["elevation"] = map(repr, scene.front)
     if scene.surfaces.colours is None:
-        own["albedo"] = ",".join(map(repr, scene.surfaces.albedo))
-    own |= {"max_error": repr(request.target_error or scene.target_error), "f": "png"}
-    path = film_path(knobs, views, own, count, still=request.times is not None)
+        usual["albedo"] = ",".join(map(repr, scene.surfaces.albedo))
+    usual |= {"max_error": repr(request.target_error or scene.target_error), "f": "png"}
+    path = film_path(knobs, views, usual, count, still=request.times is not None)
     if request.times is not None:
         steps = steps_in(request.times, scene)
         path = [
             {**shot, "time": str(steps[n * len(steps) // count])} for n, shot in enumerate(path)
         ]
     shots = (
-        read(FrameParams, {**shot, "max_error": own["max_error"], "f": "png"}.items())
+        read(FrameParams, {**shot, "max_error": usual["max_error"], "f": "png"}.items())
         for shot in path
     )
     return [smoothed(shot, "png") for shot in shots]

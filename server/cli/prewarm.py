@@ -52,6 +52,7 @@ __all__ = [
 
 
 COMMAND = Viewer("prewarm", patient=True)
+"""The viewer for whom a prewarm by this command bakes."""
 
 PREWARM_STOPPED = "This was stopped, and what is baked is kept: the same with --continue goes on."
 
@@ -183,7 +184,7 @@ def context_of(
         deadline = math.inf
     else:
         deadline = begun + order.deadline
-    # Frames and checks are drawn in this process, without requests.
+    # No other client uses this engine, so frames and checks need no queue as those of a server do.
     return PrewarmContext(
         engine,
         scene,

@@ -126,7 +126,9 @@ def sliders_of(knobs: Mapping[str, str]) -> dict[str, list[float]]:
 
 
 def values_in(name: str, text: str) -> list[float]:
-    """Return the numbers of a text such as 0:90:15. Raises ParameterError."""
+    """Return the numbers of a text such as 0:90:15, rounded so that they read well. Raises
+    ParameterError.
+    """
     numbers = [finite(part) for part in text.split(":")]
     sensible = (
         len(numbers) == 3

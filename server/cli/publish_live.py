@@ -12,6 +12,7 @@ from typing import Any
 from isogi_core.errors import ViewError
 from isogi_core.files.scene_file import LEAST_TARGET, Target, find_source
 from isogi_core.files.scene_file import Settings as SceneSettings
+from isogi_core.files.spelling import shortest
 from isogi_core.frame.card.blocks import raw_scale
 from isogi_core.frame.card.coding import Coding, coding_for
 from isogi_core.frame.rays.control_pixels import TotalError
@@ -281,7 +282,10 @@ def first_fitting(
 
 
 def too_large(best: PageVersion, smallest: PageVersion, most: float) -> str:
-    """Return a sentence about a page that exceeds ``most`` bytes, with the ways to make it fit."""
+    """Return a sentence about a page that exceeds ``most`` bytes, with the ways to make it fit.
+
+    Both numbers that it advises are a little larger than needed, as they are printed rounded.
+    """
     sentence = (
         f"The page takes {best.nbytes / 1e6:.2f} MB at an error of {best.error:.3f}, "
         "and may take less:"
@@ -295,11 +299,11 @@ def too_large(best: PageVersion, smallest: PageVersion, most: float) -> str:
         return f"{sentence} {more}, ask for {at}, or for fewer isovalues."
     light = smallest.facts["light_bytes"]
     # Files besides the light do not shrink: if these are too large, no target helps.
-    beside = smallest.nbytes - light
-    if beside >= most:
-        return f"{sentence} {more}. Its volume and the page alone take {beside / 1e6:.2f} MB."
+    rest = smallest.nbytes - light
+    if rest >= most:
+        return f"{sentence} {more}. Its volume and the page alone take {rest / 1e6:.2f} MB."
     return (
-        f"{sentence} {more}, or ask for about {(most - beside) / light:.0%} of these "
+        f"{sentence} {more}, or ask for about {(most - rest) / light:.0%} of these "
         "isovalues and a larger error."
     )
 
@@ -320,4 +324,6 @@ def published(facts: Mapping[str, Any]) -> str:
         where = f"open {facts['file']} in a browser"
     else:
         where = f"open {facts['file']}/{PAGE} on a server"
-    return f"{facts['file']}: isovalues {low:g} to {high:g}, {good}, {size}: {where}"
+    return (
+        f"{facts['file']}: isovalues {shortest(low)} to {shortest(high)}, {good}, {size}: {where}"
+    )

@@ -211,11 +211,11 @@ class Reel:
         """Draw on the bar the number of pictures done, and the time for this picture and the
         ``later`` ones.
         """
-        own = engine.time_left(scene.id, frame, shot.max_error)
-        if own and later:
-            bar.show(*counts, own.plus(later))
-        elif own and not frame.final:
-            bar.show(*counts, note=f"this one: {left_text(own)}")
+        this_one = engine.time_left(scene.id, frame, shot.max_error)
+        if this_one and later:
+            bar.show(*counts, this_one.plus(later))
+        elif this_one and not frame.final:
+            bar.show(*counts, note=f"this one: {left_text(this_one)}")
 
     def _at(self, variants: Variants, time: int | None) -> Scene:
         """Return the scene at a step of its series; the scene itself if none is named. Raises

@@ -16,6 +16,7 @@ from tqdm import tqdm
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import Cancelled, ViewError
 from isogi_core.files.scene_file import Target
+from isogi_core.files.spelling import shortest
 from isogi_core.frame.fitting import Stand
 from isogi_core.frame.frame import TAIL, Frame
 from isogi_core.frame.renderer import Renderer
@@ -23,6 +24,7 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.model.choices import PROJECTIONS
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
+from isogi_core.plan.variants import at_both_signs
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.reference import (
     Goal,
@@ -41,7 +43,7 @@ from server.progress import Progress, compiling, open_scene
 from server.render.engine import RenderEngine, engine_for
 from server.render.patience import Patience, time_limit
 from server.settings import Settings
-from server.views import PLACING, view_of, with_first_view
+from server.views import PLACING, isovalue_of, view_of, with_first_view
 from worker.errors import WorkersError
 from worker.progress import TimeLeft
 
@@ -79,6 +81,7 @@ def render(
     knobs = with_first_view(scene, knobs)
     params = smoothed(read(FrameParams, [*knobs.items(), ("f", form)]), form)
     format_for(params, None)
+    scene = at_both_signs(scene, isovalue_of(scene, params))
     view_of(scene, params, settings)
     pixel = NPY_PIXEL_BYTES if form == "npy" else PACKED_PIXEL_BYTES
     check_writable(output, pixel * params.width * params.height)
@@ -118,7 +121,8 @@ def draw(
     form: str = "png",
     seconds: float | None = None,
 ) -> Drawn:
-    """Draw a view of the ``engine``'s ``scene``, named by ``knobs``, for a picture of a ``form``.
+    """Draw the view with the parameters ``knobs`` of the ``engine``'s ``scene``, for a picture of
+    the format ``form``.
 
     The camera shows the whole surface if no knob places it. Ends when every pixel is final, or
     after ``seconds`` of baking. Raises ParameterError, ViewError, StoreError and WorkersError.
@@ -129,7 +133,8 @@ def draw(
     view = view_of(scene, params, settings)
     frame = draw_refined(engine, scene.id, view, params.max_error, seconds)
     left = engine.time_left(scene.id, frame, params.max_error)
-    # Workers that are still starting when the time is over are no trouble.
+    # Report why light is not baked; workers that are still starting when the time is over are no
+    # such reason.
     trouble = ""
     if not (frame.final or engine.store.read_only):
         trouble = engine.trouble() or engine.baker.paused()
@@ -148,21 +153,22 @@ def draw(
 
 def why_empty(scene: Scene, view: View) -> str:
     """Return a sentence that explains why a picture shows no surface, with advice."""
+    spell = scene.volume.spell
     low, high = scene.volume.value_range
     if low == high:
-        return f"No surface: all values are {low:.6g}."
+        return f"No surface: all values are {shortest(low)}."
     if not low < view.isovalue < high:
         return (
-            f"No surface at {view.isovalue:.6g}: values go from {low:.6g} to {high:.6g}, choose "
-            "an isovalue between them."
+            f"No surface at {spell(view.isovalue)}: values go from {shortest(low)} to "
+            f"{shortest(high)}, choose an isovalue between them."
         )
     if view.window is not None or scene.source.document.get("cut"):
         return (
-            f"No surface at {view.isovalue:.6g} in what the cut leaves: cut away less, or choose "
-            "another isovalue."
+            f"No surface at {spell(view.isovalue)} in what the cut leaves: cut away less, or "
+            "choose another isovalue."
         )
     return (
-        f"No surface at {view.isovalue:.6g} in view: leave the camera out, or choose another "
+        f"No surface at {spell(view.isovalue)} in view: leave the camera out, or choose another "
         "isovalue."
     )
 

@@ -154,7 +154,9 @@ async def run(app: FastAPI, listener: socket.socket) -> None:
     service: Service = app.state.service
 
     def stopping() -> None:
-        """Exit in time; soon if nobody was served yet, without waiting for kernels."""
+        """Exit in time; soon if nobody was served yet, without waiting for kernels. The service is
+        ready, or has failed, once ``watching`` is done.
+        """
         if not watching.done():
             click.echo(STOPPED, err=True)
         leave_within(EXIT_SECONDS + (app.state.settings.shutdown_seconds if watching.done() else 0))

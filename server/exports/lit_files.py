@@ -27,6 +27,7 @@ from isogi_core.files.light_files import (
     usd_layer,
     usdz_package,
 )
+from isogi_core.files.spelling import shortest
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.renderer import Renderer
@@ -164,7 +165,9 @@ def surface_mesh(renderer: Renderer, isovalue: float) -> Mesh:
 
 def no_surface(isovalue: float) -> ViewError:
     """Return the error for an isovalue without a surface."""
-    return ViewError(f"No surface passes any cell at {isovalue:g}: choose another isovalue.")
+    return ViewError(
+        f"No surface passes any cell at {shortest(isovalue)}: choose another isovalue."
+    )
 
 
 def lit_mesh(

@@ -1,12 +1,15 @@
 """Inspection of a scene: every voxel is read, for many isovalues together; with advice."""
 
+import math
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from pydantic import BaseModel
 
+from isogi_core.files.spelling import shortest
 from isogi_core.frame.tiles import Tiles
 from isogi_core.model.volume import Volume
 from isogi_core.plan.projection import Expectation, Stiffness, measure_stiffness
@@ -28,6 +31,7 @@ class SurfaceSchema(BaseModel):
     """The surface of one isovalue: the number of cells that it passes, and the shares of these that
     are stiff.
 
+    ``spelled`` is the isovalue with the digits that give the same surface.
     ``steep``: the field leaps from one plateau to another; ``plateau``: it hardly changes;
     ``noisy``: normals vary strongly within a cell; ``holes``: a voxel next to it is not a number.
     ``box`` lists the faces of the box that the surface meets, each with the share of cells that do.
@@ -36,6 +40,7 @@ class SurfaceSchema(BaseModel):
     """
 
     isovalue: float
+    spelled: str
     cells: int
     steep: float
     plateau: float
@@ -117,14 +122,12 @@ def remarks(found: StiffnessSchema) -> list[Remark]:
 
 def nothing(found: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
     """Remark that the scene's isovalue has no surface."""
-    others = [surface.isovalue for surface in found.surfaces if surface.cells]
+    others = [surface.spelled for surface in found.surfaces if surface.cells]
     if others:
-        can = [f"choose an isovalue from {others[0]:.6g} to {others[-1]:.6g}."]
+        can = [f"choose an isovalue from {others[0]} to {others[-1]}."]
     else:
         can = []
-    yield Remark(
-        about="nothing", means=f"No surface passes any cell at {own.isovalue:.6g}.", can=can
-    )
+    yield Remark(about="nothing", means=f"No surface passes any cell at {own.spelled}.", can=can)
 
 
 def error(_: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
@@ -132,7 +135,7 @@ def error(_: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
     if own.error is not None:
         means = (
             f"Expect an error of about {span(own.error)} of the light at "
-            f"{own.isovalue:.6g}, by interpolation."
+            f"{own.spelled}, by interpolation."
         )
         if max(own.steep, own.plateau, own.noisy) >= REMARKABLE_SHARE:
             none = ""
@@ -195,7 +198,7 @@ def calmer(found: StiffnessSchema, own: SurfaceSchema) -> Iterator[str]:
     if others:
         best = min(others, key=lambda each: abs(each.isovalue - own.isovalue))
         yield (
-            f"choose another isovalue: {best.isovalue:.6g} is near, and far less noisy, "
+            f"choose another isovalue: {best.spelled} is near, and far less noisy, "
             f"{percent(best.noisy)}."
         )
 
@@ -262,10 +265,10 @@ def mark(found: StiffnessSchema, _: SurfaceSchema) -> Iterator[Remark]:
     """Remark that a value looks like a mark of missing data."""
     if found.mark is not None:
         means = (
-            f"Many voxels have the value {found.mark:.10g}, far from all others: it may mark "
+            f"Many voxels have the value {shortest(found.mark)}, far from all others: it may mark "
             "missing data."
         )
-        can = [f"set missing = {found.mark:.10g} in the scene: these voxels are then holes."]
+        can = [f"set missing = {shortest(found.mark)} in the scene: these voxels are then holes."]
         yield Remark(about="missing", means=means, can=can)
 
 
@@ -355,8 +358,14 @@ def inspection_schema(scene: Scene) -> InspectionSchema:
 
 
 def stiffness_schema(scene: Scene) -> StiffnessSchema:
-    """Return the stiffness of the scene's volume."""
+    """Return the stiffness of the scene's volume; of a field that repeats, that of the part that is
+    shown, without the margin that is cut away around it.
+    """
     asked = isovalues_of(scene)
+    cell = scene.volume.cell
+    if cell is not None:
+        shown = np.ascontiguousarray(cell.of(scene.volume.voxels))
+        scene = replace(scene, volume=replace(scene.volume, voxels=shown))
     levels = np.array([scene.volume.normalise_isovalue(each) for each in asked], np.float32)
     with closing(Tiles()) as tiles:
         found = measure_stiffness(PreparedScene(scene).field, levels, tiles.run)
@@ -386,7 +395,19 @@ def isovalues_of(scene: Scene) -> list[float]:
         and high / ISOVALUES - low / ISOVALUES >= EXAMINED_ISOVALUES
     ):
         values = np.round(values)
+    else:
+        values = np.array([rounded(value, high - low) for value in values.tolist()])
     return sorted({*values.tolist(), scene.isovalue})
+
+
+def rounded(value: float, span: float) -> float:
+    """A value with no more digits than tell a ten-thousandth of a ``span``, so that it is short to
+    type.
+    """
+    step = 10.0 ** math.floor(math.log10(span / 1e4)) if 0.0 < span < math.inf else 0.0
+    if not step:
+        return value
+    return float(f"{round(value / step) * step:.15g}")
 
 
 def surface_schema(scene: Scene, found: Stiffness, isovalue: float, place: int) -> SurfaceSchema:
@@ -397,12 +418,13 @@ def surface_schema(scene: Scene, found: Stiffness, isovalue: float, place: int) 
     met = zip(faces_of(scene.volume.size), found.share(found.faces)[:, place].tolist(), strict=True)
     return SurfaceSchema(
         isovalue=isovalue,
+        spelled=scene.volume.spell(isovalue),
         cells=cells,
         steep=steep,
         plateau=plateau,
         noisy=noisy,
         holes=holes,
-        box={face: share for face, share in met if share > 0.0},
+        box={face: share for face, share in met if share > 0.0 and ends(scene.volume, face)},
         error=error_schema(found.expectation(place)) if cells else None,
     )
 
@@ -410,6 +432,11 @@ def surface_schema(scene: Scene, found: Stiffness, isovalue: float, place: int) 
 def error_schema(expected: Expectation) -> ErrorSchema:
     """Return an expected error as a document."""
     return ErrorSchema(low=expected.low, likely=expected.likely, high=expected.high)
+
+
+def ends(volume: Volume, face: str) -> bool:
+    """Whether the field ends at a ``face`` of the box, and does not repeat there."""
+    return volume.cell is None or not volume.cell.periodic["xyz".index(face[0])]
 
 
 def faces_of(size: tuple[int, int, int]) -> list[str]:

@@ -6,6 +6,9 @@ import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+
+from isogi_core.files.spelling import shortest
 from isogi_core.plan.scene import Scene
 from server.errors import LibraryError, ParameterError
 from server.inspect.inspection import (
@@ -18,6 +21,7 @@ from server.inspect.inspection import (
     SurfaceSchema,
     inspection_schema,
     percent,
+    rounded,
     span,
 )
 from server.progress import open_scene
@@ -55,11 +59,12 @@ def summary(facts: SceneSchema) -> Iterator[tuple[str, str]]:
     yield from axes(volume)
     yield (
         "values",
-        f"{volume.value_range[0]:.10g} to {volume.value_range[1]:.10g}, {volume.holes} not finite",
+        f"{span_of(volume)}, {volume.holes} not finite",
     )
     yield (
         "isovalue",
-        f"{facts.defaults['isovalue']:.10g}, from {low_high.min:.10g} to {low_high.max:.10g}",
+        f"{shortest(float(facts.defaults['isovalue']))}, from {shortest(low_high.min)} to "
+        f"{shortest(low_high.max)}",
     )
     yield "solid", facts.solid
     yield reflects(facts)
@@ -107,6 +112,24 @@ def axes(volume: VolumeSchema) -> Iterator[tuple[str, str]]:
             f"{volume.read_as}; lengths {f'in {volume.unit}' if volume.unit else 'without a unit'}",
         )
     yield from (("note", note) for note in volume.notes)
+
+
+def span_of(volume: VolumeSchema) -> str:
+    """The ends of the range of a volume's values, with the digits that its type has."""
+    low, high = (in_type(value, volume.dtype) for value in volume.value_range)
+    return f"{low} to {high}"
+
+
+SHORT_FLOATS = ("float16", "float32")
+"""Types with fewer digits than Python's floats."""
+
+
+def in_type(value: float, dtype: str) -> str:
+    """A value with the fewest digits that give it again in a type."""
+    if dtype not in SHORT_FLOATS or abs(value) > float(np.finfo(dtype).max):
+        return shortest(value)
+    kind = np.dtype(dtype).type
+    return shortest(value, lambda other: bool(kind(other) == kind(value)))
 
 
 def plan_rows(plan: PlanSchema) -> Iterator[tuple[str, str]]:
@@ -182,6 +205,9 @@ MORE_TO_ASK = (
     "--dry-run, the time."
 )
 
+ISOVALUE_COLUMNS = 11
+"""Columns of an isovalue in the table, at least."""
+
 TABLE_HEAD = (
     f"  {'isovalue':>11} {'cells':>13} {'steep':>6} {'plateau':>8} {'noisy':>6} "
     f"{'holes':>6}   error about"
@@ -200,9 +226,12 @@ def histogram(scene: Scene) -> Iterator[str]:
     """Yield one line per bin: its lower edge, a bar of logarithmic length, its count."""
     counts, edges = scene.volume.histogram(HISTOGRAM_BINS)
     longest = math.log1p(counts.max())
-    for count, edge in zip(counts, edges, strict=False):
+    low, high = float(edges[0]), float(edges[-1])
+    names = [shortest(rounded(float(edge), high - low)) for edge in edges]
+    width = max(12, *map(len, names))
+    for count, name in zip(counts, names, strict=False):
         yield (
-            f"{edge:>12.5g} "
+            f"{name:>{width}} "
             f"{'█' * round(BAR_COLUMNS * math.log1p(count) / longest):<{BAR_COLUMNS}} {count}"
         )
 
@@ -211,10 +240,10 @@ def stiffness(facts: InspectionSchema) -> Iterator[str]:
     """Yield a table of stiffness by isovalue, and remarks about the scene's isovalue."""
     found = facts.stiffness
     yield "stiffness (shares of the cells that a surface passes; > is the scene's isovalue)"
-    yield TABLE_HEAD
-    yield from (
-        surface_row(found.surfaces[place], place == found.own) for place in shown_places(found)
-    )
+    shown = shown_places(found)
+    width = max(ISOVALUE_COLUMNS, *(len(found.surfaces[place].spelled) for place in shown))
+    yield TABLE_HEAD.replace("isovalue", f"{'isovalue':>{width + 8 - ISOVALUE_COLUMNS}}", 1)
+    yield from (surface_row(found.surfaces[place], place == found.own, width) for place in shown)
     yield from (line for remark in found.remarks for line in lines_of(remark))
 
 
@@ -239,9 +268,9 @@ def shown_places(found: StiffnessSchema) -> list[int]:
     )
 
 
-def surface_row(surface: SurfaceSchema, own: bool) -> str:
-    """Return a row of the table."""
-    name = f"{'>' if own else ' '} {surface.isovalue:>11.6g} {surface.cells:>13,}"
+def surface_row(surface: SurfaceSchema, own: bool, width: int = ISOVALUE_COLUMNS) -> str:
+    """Return a row of the table, its isovalue in ``width`` columns."""
+    name = f"{'>' if own else ' '} {surface.spelled:>{width}} {surface.cells:>13,}"
     if surface.error is None:
         return f"{name}   nothing is seen"
     columns = ((surface.steep, 6), (surface.plateau, 8), (surface.noisy, 6), (surface.holes, 6))
@@ -333,7 +362,7 @@ def understood(facts: InspectionSchema) -> Iterator[tuple[str, str]]:
         holes = f"{volume.holes:,} voxels are not numbers: holes"
     else:
         holes = "no holes"
-    yield "values", f"{volume.value_range[0]:.10g} to {volume.value_range[1]:.10g}, {holes}"
+    yield "values", f"{span_of(volume)}, {holes}"
 
 
 def proposed(scene: Scene, facts: InspectionSchema) -> Iterator[tuple[str, str]]:
@@ -342,12 +371,14 @@ def proposed(scene: Scene, facts: InspectionSchema) -> Iterator[tuple[str, str]]
     given = "isovalue" in scene.source.document or str(
         scene.source.document.get("volume")
     ).startswith("demo:")
-    if given:
+    if scene.source.found:
+        why = "chosen for such values"
+    elif given:
         why = "as the scene says"
     else:
         why = "proposed from the values"
     others = [
-        f"{each.isovalue:.6g}"
+        scene.volume.spell(each.isovalue)
         for each in facts.presets
         if each.isovalue != facts.defaults["isovalue"]
     ]
@@ -355,7 +386,8 @@ def proposed(scene: Scene, facts: InspectionSchema) -> Iterator[tuple[str, str]]
         also = f"; also look at {', '.join(others)}"
     else:
         also = ""
-    yield "isovalue", f"{facts.defaults['isovalue']:.6g}, {why}{also}; solid {facts.solid}"
+    isovalue = scene.volume.spell(scene.isovalue)
+    yield "isovalue", f"{isovalue}, {why}{also}; solid {facts.solid}"
     name, albedo = reflects(facts)
     if name == "labels":
         albedo = few(albedo.split(", "))
@@ -383,7 +415,7 @@ def surface(own: SurfaceSchema) -> str:
         met = f", cut open by the box at {', '.join(faces)}"
     else:
         met = ", closed within the box"
-    return f"{own.cells:,} cells at {own.isovalue:.6g}{met if own.cells else ''}"
+    return f"{own.cells:,} cells at {own.spelled}{met if own.cells else ''}"
 
 
 def stiffness_line(own: SurfaceSchema, error: ErrorSchema) -> str:

@@ -332,7 +332,7 @@ class Baking:
         )
 
     def _cost(self) -> Cost:
-        """Return the cost of all tasks on these chunks so far."""
+        """Return the cost of all tasks on these chunks so far, also of those before this round."""
         chunks: dict[str, set[Index]] = {}
         # Batches of one bake may share chunks: count each chunk once.
         for batch, group in groupby(self.wishes, lambda wish: wish[0]):

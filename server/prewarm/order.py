@@ -251,8 +251,8 @@ class PrewarmOrder(NoParams):
 
     @model_validator(mode="after")
     def one_way(self) -> Self:
-        """Raise ValueError for directions along with all_directions,
-        and for ranges of isovalues without it.
+        """Raise ValueError for directions along with all_directions, and for ranges of isovalues
+        without it: views need single isovalues.
         """
         others = [name for name in VIEW_FIELDS if getattr(self, name)]
         if self.all_directions and others:
@@ -273,7 +273,9 @@ class PrewarmOrder(NoParams):
 
     @property
     def looks_from(self) -> list[Direction]:
-        """The directions, each once."""
+        """The directions of the order's views, each once; USUAL_DIRECTIONS from all sides if none
+        is given.
+        """
         single = [(each.azimuth, each.elevation) for each in self.directions]
         around = [each for path in self.orbits for each in orbit(path.count, path.elevation)]
         if self.views is not None:

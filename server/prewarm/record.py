@@ -203,13 +203,13 @@ class RecordDocument(BaseModel):
 
 
 def gone(worker: str) -> bool:
-    """Return True if a worker was a process of this machine and has ended;
-    False if that cannot be known.
+    """Return True if the process ``worker``, which worked on a prewarm, ran on this machine and has
+    ended; False if that cannot be known.
     """
     machine, number, _ = worker.split("/")
     if machine != socket.gethostname():
         return False
-    # This process may have got the number of an earlier one.
+    # This process may have got the number of an earlier one, as is usual in containers.
     if int(number) == os.getpid():
         return worker != THIS_PROCESS
     # Signal 0 only checks that the process exists.
@@ -252,8 +252,9 @@ class Record:
         return self._documents.path_of(self.document.id)
 
     def follow(self, context: PrewarmContext) -> None:
-        """Continue at the sample level of an earlier prewarm of this order,
-        and record when this one climbs. Raises StoreError.
+        """Continue at the number of samples that an earlier prewarm of this order had reached, so
+        that it need not be found out once more; record each higher number that pictures ask for.
+        Raises StoreError.
         """
         former = [
             each.rung for each in recorded_prewarms(self._store) if each.id == self.document.id

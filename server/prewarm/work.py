@@ -445,7 +445,9 @@ class Rounds:
         return found
 
     def _note(self, baking: Baking) -> None:
-        """Add the places, failures and cost of a round."""
+        """Add the places, failures and cost of a round. A failure stays listed even if a later
+        round bakes the chunk.
+        """
         self.places |= {(batch, demand.index) for batch, demand in baking.wishes}
         self.failures |= baking.failures
         self.spent = self.spent.plus(baking.spent)
@@ -500,6 +502,7 @@ def carry_out_dry(context: PrewarmContext, what: Wanted) -> Summary:
     """
     rounds = Rounds(context, what)
     since = time.monotonic()
+    # Looking is the first half of the progress bar, and the forecast is the other one.
     found = rounds.look((0.0, 0.5), context.deadline)
     return forecast_summary(rounds, found, time.monotonic() - since, DRY_TRIAL)[0]
 
@@ -514,7 +517,8 @@ def forecast_summary(
     looking again, which took ``looked`` seconds at first.
     """
     context = rounds.context
-    # Rehearse texels of the scene's light; other texels are taken to cost as much each.
+    # Rehearse texels of the scene's light. Finer texels and those of surfaces' sides are not
+    # rehearsed, and are taken to cost as much each.
     usual = [demand for batch, demand in found.wishes if batch.usual]
     passed = context.seconds
     rung = rung_ahead(context, found)
@@ -526,12 +530,14 @@ def forecast_summary(
     texels = sum(len(demand.offsets) for demand in found.demands.values())
     ahead = ahead.times(texels / max(rehearsed, 1))
     # The check of a picture costs a share of the light of all its texels, and several pictures may
-    # read a texel.
+    # read a texel. Pictures of whole isosurfaces are looked at only after the first round: until
+    # then, take each texel to be read once.
     pictures_per_texel = rounds.pictures.read / max(texels, 1)
     if rounds.what.whole:
         pictures_per_texel = max(pictures_per_texel, 1.0)
     rounds.checks = CHECKING * ahead.seconds * pictures_per_texel
     context.check()
+    # A dry run takes more time for its forecast than the prewarm that it stands for will take.
     if found.demands:
         around = passed + min(context.seconds - passed, TRIAL_SECONDS) + looked
     else:

@@ -197,8 +197,11 @@ class SideBakes:
         return self._named(name, bake_name(scene, spec), stage.shown, make)
 
     def _named(self, name: str, base: str, shown: Isovalue | None, make: Callable[[], Bake]) -> str:
-        """Add the bake of this ``name`` if it is new, and drop the oldest ones above MAX_BAKES.
-        Views that read it also read the bake ``base`` of the scene.
+        """Add the bake of this ``name`` if it is new, and drop those asked for longest ago if there
+        are more than MAX_BAKES. Views that read it also read the bake ``base`` of the scene, by
+        whose name its updates are reported.
+
+        A new isosurface of projected texels takes space in the store, so it is trimmed.
         """
         with self._lock:
             new = name not in self._names

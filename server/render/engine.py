@@ -104,6 +104,7 @@ def time_of_paths(
     last frame. If no path of a pixel has been timed yet, it is assumed to take the time of a
     texel's path divided by HEAVIER, and the estimate is less certain.
     """
+    # Costs are seconds of one processor; a pixel's pace was measured with all threads at work.
     each = spent.seconds / max(spent.paths, 1) / threads
     once = sum(seconds for stage, seconds in drawing.items() if stage not in WAITING_STAGES)
     work = left.texels * each + left.pixels * (left.pace or each / HEAVIER) + left.times * once
@@ -403,7 +404,8 @@ class RenderEngine:
         finer by ``fineness`` steps; add the bake if it is new.
         """
         # Light of one side of a surface has a separate bake, and so have finer and projected
-        # texels. All other light belongs to the bake of the scene.
+        # texels. All other light belongs to the bake of the scene, and so does that of a scene that
+        # was dismissed: its bakes are forgotten, so nothing is baked for it.
         if stage.caches is not None and scene in self.scenes:
             return self._side_bakes.side(scene, spec, stage, self._share)
         if scene not in self.scenes or (stage.shown is None and not fineness):
@@ -496,7 +498,8 @@ class RenderEngine:
         """Correct the estimate of the time ``left`` for a ``picture`` by how estimates for other
         pictures came true.
 
-        The steps that a picture will take are not known beforehand.
+        This makes up for work that cannot be counted: the steps that a picture will take are not
+        known beforehand.
         """
         with self._estimating:
             learnt = self._estimator.estimate(picture, left.likely, time.monotonic())

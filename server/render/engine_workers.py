@@ -107,8 +107,9 @@ class EngineWorkers:
         return self._pool.preparing
 
     def close(self) -> None:
-        """Stop the workers, or their start."""
+        """Stop the workers. A start that is in progress is awaited, and not tried again."""
         self._stopped.set()
+        # Wait for the start first: a pool that it makes after this would never be closed.
         if self._starting is not None:
             self._starting.join()
         if self._pool is not None:

@@ -219,6 +219,8 @@ class Jobs:
 
     async def close(self) -> None:
         """Dismiss all jobs, and return when their work has ended."""
+        # Work that is cancelled from now on reads this flag: a prewarm then leaves its record in
+        # the store, so that the next server resumes it.
         self.closed = True
         for key in list(self._tasks):
             self._jobs[key].end(Status.DISMISSED, JOB_STOPPED)
@@ -230,7 +232,7 @@ class Jobs:
         del self._tasks[job.id]
 
     def _forget(self) -> None:
-        """Forget jobs that ended long ago, and the oldest if too many have ended."""
+        """Forget jobs that ended long ago, and if too many have ended, those that began first."""
         over = [job for job in self._jobs.values() if job.expires is not None]
         surplus = len(over) - MOST_KEPT
         present = now()

@@ -81,15 +81,19 @@ Prepare = Callable[[float, threading.Event], object]
 
 
 class Prefetch:
-    """Prepares maps for the isovalues that a moving slider will reach next. Safe to use from
-    many threads.
+    """Prepares maps of active cells for the isovalues that a moving slider will reach next. Safe
+    to use from many threads.
+
+    One map serves a whole group of isovalues: those from one of the ``levels`` to before the next.
+    So it is enough to prepare one isovalue of each group ahead.
     """
 
     def __init__(
         self, prepare: Prepare, levels: np.ndarray, span: tuple[Isovalue, Isovalue]
     ) -> None:
-        """Set the function that prepares: ``prepare(isovalue, cancelled)`` serves all isovalues of
-        a group between two ``levels``, see ``next_values``.
+        """Set the function that prepares: ``prepare(isovalue, cancelled)`` makes the map that
+        serves the isovalue's group. The ``levels`` divide isovalues into groups, see
+        ``next_values``.
 
         ``span`` is the lowest and the highest isovalue that views may ask for.
         """
@@ -104,7 +108,8 @@ class Prefetch:
         self._preparing: float | None = None
         self._closed = False
         self._cancelled = threading.Event()
-        # The event is set whenever nothing is being prepared.
+        # Cancels the thread that prepares. It is set, too, when that thread has run out of work:
+        # so a set event always means that a new thread is needed.
         self._cancelled.set()
 
     @contextmanager
@@ -398,7 +403,7 @@ def loaded(
     """
     prepared = caches.prepared
     scene = caches.prepared.scene
-    # Compute these now, not in the first frame.
+    # Each of these is computed when it is first read: read them now, not in the first frame.
     (
         prepared.field,
         prepared.maps,
@@ -406,7 +411,8 @@ def loaded(
         scene.default_exposure,
         caches.chunk_store("gi"),
     )
-    # If the store has larger layers already, these are used: show their plan.
+    # A layer without light in the store gives way to a larger one (say, of a higher order) that has
+    # light there, which need not be baked. The plan is to show the layers that are in use.
     planned = replace(
         scene, plan=complete(caches.spec("gi").plan, scene.inputs, scene.settings.overrides)
     )

@@ -38,7 +38,7 @@ are too uncertain.
 
 
 class Metrics:
-    """The metrics of one server, in a registry of its own."""
+    """The metrics of one server, in a separate registry."""
 
     def __init__(self) -> None:
         """Create all metrics at zero, and those of the process: memory, files, processor time."""

@@ -441,7 +441,7 @@ class LongRenders(Renders):
     async def _run(
         self, work: Callable[[threading.Event], Result], passes: Passes, rank: Rank
     ) -> Result:
-        """Run work pass by pass: each pass takes a place of its own. Return its result. Raises
+        """Run work pass by pass: each pass takes a separate place. Return its result. Raises
         BusyError if the rank gives up before the work begins.
         """
         loop = asyncio.get_running_loop()

@@ -21,7 +21,7 @@ PROBE_SECONDS = 0.5
 
 
 class StoreProbe:
-    """Probes if a store can be read and written, in a thread of its own. Safe to use from many
+    """Probes if a store can be read and written, in a separate thread. Safe to use from many
     threads.
     """
 
@@ -40,8 +40,9 @@ class StoreProbe:
         store is meant only to be read.
 
         The store is probed at most every ``FINDING_SECONDS``. A store that hangs holds up no
-        caller: while a probe is late by less than ``FINDING_SECONDS``, the former result is
-        returned, and after that the reason that the store does not answer.
+        caller for longer than ``PROBE_SECONDS``. While a probe has taken less than
+        ``FINDING_SECONDS``, the former result is returned, and after that the reason that the store
+        does not answer. The same reason is given until the first probe has ended.
         """
         with self._lock:
             if self._looking is None and self._clock() >= self._until:

@@ -12,11 +12,13 @@ from isogi_core.prepared.prepared_scene import Index
 
 @dataclass(eq=False)
 class Pending:
-    """Chunks of a ``bake`` that a request waits for.
+    """Chunks that a request waits for, of the bake with the name ``bake``.
 
     ``some`` is set with the first update of any of the ``chunks``, ``all`` with the last update of
     the last one: a chunk's last update says that it is final or given up. ``lit`` is set with
-    ``all``, or once each of the ``dark`` chunks, which had no light, has had an update.
+    ``all``, or once each of the ``dark`` chunks, which had no light, has had an update: then no
+    part of the picture is without light, so it is worth drawing at once. If there are no chunks,
+    no event is ever set.
     """
 
     bake: str

@@ -59,7 +59,9 @@ MATERIAL_COMPILING = (
 )
 
 Place = Callable[[str], str | None]
-"""Returns the environment with a name or id, as scene files name it; None if there is none."""
+"""Returns the place of an environment by its name or id: the text by which scene files name it,
+such as the path of an uploaded file. None if there is no such environment.
+"""
 
 
 class Variants:
@@ -79,8 +81,11 @@ class Variants:
         ``most`` variants are kept; the engine dismisses those asked for longest ago, and makes them
         again if it needs them. Voxels of cuts, and of time steps, may take ``room`` bytes, by
         default MOST_CUTS times the memory that one volume may take; above that ``most_cuts``
-        variants with voxels of their own are kept. Variants are made one at a time, clients taking
-        turns, each for ``patience`` seconds at most.
+        variants with changed voxels are kept.
+
+        Variants are made one at a time, so that each finds the voxels that an earlier one has
+        computed and shares them. Clients take turns, and a request waits for its turn for at most
+        ``patience`` seconds.
         """
         self._engine = engine
         self._place = place
@@ -106,12 +111,14 @@ class Variants:
         if there is no such environment, BusyError if the variants of others take too long, and the
         errors of ``make``.
         """
+        # Answer at once if nothing is to be made, or if the environment's name is wrong.
         variant = SceneVariant.of(scene, change)
         if not variant.any:
             return scene
         place = self._placed(variant)
         if (known := self.known(variant.id)) is not None:
             return known
+        # Every client has the same weight, 1, and all its variants are equally urgent, due in 0 s.
         turn = Rank.within(0.0, self._patience, self._turns.client(client, 1.0))
         return await self._turns.run(lambda: self.make(scene, variant, place), turn)
 
@@ -147,6 +154,9 @@ class Variants:
     def again(self, name: str) -> Scene | None:
         """Make the variant with this id again, after it was dismissed. None if the id is no
         variant's, or if its scene is gone. Raises as ``make`` does.
+
+        The engine calls this when a client asks for a frame of it by the id. An id holds only a
+        digest of a cut, so the engine remembers the changes of the variants that it dismissed.
         """
         variant = self._engine.variant(name)
         scene = self._engine.scenes.get(variant.base)

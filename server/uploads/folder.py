@@ -9,7 +9,7 @@ import math
 import os
 import re
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +19,7 @@ from urllib.parse import quote, unquote
 import numpy as np
 
 from isogi_core.errors import LightError
+from isogi_core.files.formats.nrrd import meaning_lines
 from isogi_core.files.grid import PATIENT_AXES, Grid, LabelName
 from isogi_core.files.radiance import encode_rgbe, parse_hdr
 from isogi_core.model.environment import resample
@@ -175,7 +176,7 @@ VOLUME_HEADER_PATTERN = re.compile(
     rb"(?:spacings: [-+.e\d ]+|space[ a-z]*: [-a-z\d]+\n"
     rb"space directions: [-+.e\d(), ]+\nspace origin: [-+.e\d(),]+"
     rb"(?:\nspace units: [^\n]+)?)\nname:=([!-~]*)\n"
-    rb"(?:Segment\d+_(?:LabelValue|Name|Color):=[^\n]*\n)*\n",
+    rb"(?:(?:Segment\d+_(?:LabelValue|Name|Color)|isogi [a-z]+):=[^\n]*\n)*\n",
     re.ASCII,
 )
 LABEL_NAME = 64
@@ -183,8 +184,8 @@ LABEL_NAME = 64
 
 
 def write(file: IO[bytes], grid: Grid, name: str) -> str:
-    """Write a grid on right angles as a canonical file; return its id, a digest of all but the
-    name.
+    """Write a grid on right angles, or one cell of a field that repeats, as a canonical file;
+    return its id, a digest of all but the name.
 
     An empty name is replaced by one made of the id. Types that NRRD lacks become the next larger
     one.
@@ -199,6 +200,7 @@ def write(file: IO[bytes], grid: Grid, name: str) -> str:
     facts["labels"] = "".join(
         segment(number, label) for number, label in enumerate(shown_labels(grid))
     )
+    facts["labels"] += "".join(f"{line}\n" for line in meaning_lines(grid))
     # The digest comes before the data in the file: go through the layers twice, and keep no copy.
     digest = hashlib.blake2b(VOLUME_HEADER.format(**facts, name="").encode(), digest_size=16)
     for layer in layer_values(grid, f"<{kind}"):
@@ -244,24 +246,36 @@ def layer_values(grid: Grid, kind: str) -> Iterator[memoryview]:
 
 def placing_lines(grid: Grid) -> str:
     """Return the header lines that place a grid on right angles in space: the spacing alone if
-    that is all.
+    that is all. A cell of a field that repeats may be oblique.
     """
+    if any(grid.periodic) and grid.affine is not None:
+        x, y, z = grid.affine.array[:, :3].T
+        return space_lines(grid.affine.letters, (x, y, z), grid.affine.origin, grid.unit)
     orientation = Orientation.of(grid)
     if not orientation.placed and not orientation.letters and not orientation.unit:
         return f"spacings: {' '.join(repr(float(step)) for step in grid.spacing)}"
     # Rows are the world vectors between neighbouring voxels.
     steps = orientation.matrix.T * np.array(grid.spacing)[:, None]
-    if orientation.letters in NRRD_SPACES:
-        space = f"space: {NRRD_SPACES[orientation.letters]}"
+    return space_lines(orientation.letters, steps, orientation.origin, orientation.unit)
+
+
+def space_lines(
+    letters: str, steps: Iterable[Sequence[float]], origin: Sequence[float], unit: str
+) -> str:
+    """The lines of a header for a space with these ``letters``, in which voxels lie ``steps`` apart
+    from an ``origin`` on, in a ``unit``.
+    """
+    if letters in NRRD_SPACES:
+        space = f"space: {NRRD_SPACES[letters]}"
     else:
         space = "space dimension: 3"
     lines = [
         space,
         f"space directions: {' '.join(map(vector, steps))}",
-        f"space origin: {vector(orientation.origin)}",
+        f"space origin: {vector(origin)}",
     ]
-    unit = "".join(letter for letter in orientation.unit if letter.isprintable() and letter != '"')
-    units = [f"space units: {' '.join(3 * (quoted,))}" for quoted in (f'"{unit}"',) if unit]
+    plain = "".join(letter for letter in unit if letter.isprintable() and letter != '"')
+    units = [f"space units: {' '.join(3 * (quoted,))}" for quoted in (f'"{plain}"',) if plain]
     return "\n".join([*lines, *units])
 
 

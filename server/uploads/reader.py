@@ -60,7 +60,7 @@ def main(name: str, body: int, out: int, kind: str, voxels: int, seconds: float)
             if kind == ENVIRONMENT_KIND:
                 return {"id": write_environment(canonical, upload.read(), name)}
             found = open_upload(upload, name or "upload", voxels)
-            grid = on_right_angles(found)
+            grid = found if any(found.periodic) else on_right_angles(found)
             name = named_after(found, name)
             check_size(grid, voxels)
             # Check the size before voxels are loaded, and refuse now what the server could not

@@ -196,6 +196,7 @@ def test_the_stamp_tells_when_anything_was_written(tmp_path: Path) -> None:
 
 def bad_group(path: Path) -> None:
     save(path / "inner", FIELD)
+    save(path / "other", FIELD)
     zarr.open_group(path, mode="a")
 
 
@@ -244,7 +245,7 @@ def huge(path: Path) -> None:
     [
         (lambda path: None, "There is no Zarr array"),
         (lambda path: path.mkdir(), "holds no Zarr array"),
-        (bad_group, r"is a Zarr group and no image: it holds 'v.zarr/inner'"),
+        (bad_group, r"is a Zarr group and no image: it holds 'v.zarr/inner', 'v.zarr/other'"),
         (bad_link, "is a link out of the volume's folder"),
         (bad_chunk, "are damaged"),
         (bad_codec, "cannot be read as Zarr .*nobodys"),
@@ -342,3 +343,53 @@ def test_scenes_and_the_command_line_name_urls(bucket: str, tmp_path: Path) -> N
 def test_urls_that_hold_secrets_or_lead_elsewhere_are_refused(url: str) -> None:
     with pytest.raises(VolumeError, match="must begin with s3://"):
         open_zarr(url)
+
+
+def xarray_group(path: Path, metres: dict[str, str], dims: str = "tzyx") -> np.ndarray:
+    """A group as Xarray writes it: a field in time with coordinates next to it, and one of maps."""
+    field = np.arange(2 * 4 * 5 * 6, dtype=np.float32).reshape(2, 4, 5, 6)
+    group = zarr.open_group(path, mode="w", zarr_format=2)
+    names = {"t": "time", "z": "lev", "y": "lat", "x": "lon"}
+    values = {"t": [0.0, 1], "z": [9.0, 6, 3, 0], "y": -2.0 * np.arange(5), "x": np.arange(6.0)}
+    kinds = {"t": {"units": "days since 2000-01-01"}, "z": {"positive": "down", **metres}}
+    for axis in "tzyx":
+        made = group.create_array(names[axis], data=np.array(values[axis]))
+        made.attrs.update({"_ARRAY_DIMENSIONS": [names[axis]], **kinds.get(axis, metres)})
+    data = field.transpose(["tzyx".index(axis) for axis in dims])
+    made = group.create_array("ta", data=data)
+    made.attrs["_ARRAY_DIMENSIONS"] = [names[axis] for axis in dims]
+    maps = group.create_array("ps", data=field[:, 0])
+    maps.attrs["_ARRAY_DIMENSIONS"] = ["time", "lat", "lon"]
+    return field
+
+
+@pytest.mark.parametrize("dims", ["tzyx", "xyzt"])
+@pytest.mark.parametrize("inside", ["", "ta"])
+def test_coordinates_next_to_an_array_place_it(tmp_path: Path, dims: str, inside: str) -> None:
+    field = xarray_group(tmp_path / "v.zarr", {"units": "m"}, dims)
+    grid = open_zarr(tmp_path / "v.zarr" / inside)
+    np.testing.assert_array_equal(grid.whole(), field[0])
+    assert tuple(grid.spacing) == (1.0, 2.0, 3.0) and grid.unit == "m"
+    assert grid.affine is not None
+    np.testing.assert_array_equal(np.diag(grid.affine.array[:, :3]), (1.0, -2.0, 3.0))
+    assert grid.unchosen and grid.read_as.endswith("placed by the coordinates of its axes")
+    assert inside or "only field of the group is shown: 'ta'" in grid.notes[0]
+
+
+def test_coordinates_that_are_no_lengths_are_told(tmp_path: Path) -> None:
+    xarray_group(tmp_path / "v.zarr", {"units": "m"})
+    group = zarr.open_group(tmp_path / "v.zarr", mode="r+")
+    group["lat"].attrs["units"] = "degrees_north"
+    group["lon"].attrs["units"] = "degrees_east"
+    grid = open_zarr(tmp_path / "v.zarr" / "ta")
+    assert tuple(grid.spacing) == (1.0, 1.0, 1.0) and grid.affine is not None
+    np.testing.assert_array_equal(np.diag(grid.affine.array[:, :3]), (1.0, -1.0, 1.0))
+    assert "cubes, as its axes are in degrees_east, degrees_north, m: #spacing=" in grid.notes[0]
+
+
+def test_units_that_are_unknown_are_told(tmp_path: Path) -> None:
+    axes = [{"name": name, "type": "space", "unit": "micrometer"} for name in "zyx"]
+    axes[0]["unit"] = "pixel"
+    image(tmp_path / "v.zarr", [FIELD], axes)
+    grid = open_zarr(tmp_path / "v.zarr")
+    assert "in micrometer, micrometer, pixel, taken as one unit: #spacing=" in grid.notes[0]

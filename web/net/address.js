@@ -4,6 +4,7 @@
  */
 
 import { WHITE, startAlbedo } from "../view/albedo.js";
+import { exactValue } from "../view/format.js";
 import { readCrossHair, readMeasure, writeCrossHair, writeMeasure } from "../view/measures.js";
 import { NUMBERS, inShort } from "../view/model.js";
 import { arePlanes } from "../view/planes.js";
@@ -170,7 +171,7 @@ export function isovalueComplaint({ ranges, volume }, isovalue) {
   const [low, high] = volume.value_range;
   const { min, max } = ranges.isovalue ?? { min: low, max: high };
   if (isovalue >= min && isovalue <= max) return "";
-  const [from, to] = [min, max].map((value) => Number(value.toPrecision(6)));
+  const [from, to] = [min, max].map((value) => exactValue(value, volume.value_range));
   const what = min > low || max < high ? "this scene shows" : "values go from";
   return `No surface at ${isovalue}: ${what} ${from} to ${to}.`;
 }

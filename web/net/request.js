@@ -4,7 +4,7 @@
  */
 
 import { albedoQuery } from "../view/albedo.js";
-import { shadingName } from "../view/format.js";
+import { exactValue, shadingName } from "../view/format.js";
 import { NUMBERS } from "../view/model.js";
 import { partPlanes } from "../view/planes.js";
 import { idleKnobs } from "../view/surfaces.js";
@@ -121,13 +121,13 @@ export function ground({ background }) {
 
 /**
  * Describe a view's picture in words.
- * @param {Pick<Scene, "name">} scene
+ * @param {Pick<Scene, "name"> & Partial<Pick<Scene, "volume">>} scene
  * @param {Pick<Knobs, "isovalue"|"azimuth"|"elevation"|"shading">} values knobs of the view
  * @returns {string}
  */
 export function describe(scene, values) {
   const from = `azimuth ${Math.round(values.azimuth)}°, elevation ${Math.round(values.elevation)}°`;
-  return `Isosurface of ${scene.name} at ${short(values.isovalue)}, seen from ${from}; ${shadingName(values.shading)}`;
+  return `Isosurface of ${scene.name} at ${spelled(scene, values.isovalue)}, seen from ${from}; ${shadingName(values.shading)}`;
 }
 
 const DIGEST = /^[0-9a-f]{20}([0-9a-f]{12})?$/; // the id of an upload
@@ -158,12 +158,12 @@ export function nameOfFiles(scene) {
 
 /**
  * Return the name of a view's file, without an ending.
- * @param {Pick<Scene, "id"|"name">} scene
+ * @param {Pick<Scene, "id"|"name"> & Partial<Pick<Scene, "volume">>} scene
  * @param {Pick<Knobs, "isovalue">} values knobs of the view
  * @returns {string}
  */
 export function fileName(scene, values) {
-  return `${nameOfFiles(scene)}-${short(values.isovalue)}`;
+  return `${nameOfFiles(scene)}-${spelled(scene, values.isovalue)}`;
 }
 
 /**
@@ -268,9 +268,13 @@ export function pythonLine(server, scene, view, file) {
   return `from isogi.client import Isogi; Isogi(${literal(server)}).${frame}.save(${literal(file)})`;
 }
 
-/** Round an isovalue to six digits. @param {number} isovalue */
-function short(isovalue) {
-  return Number(isovalue.toPrecision(6));
+/**
+ * Write an isovalue with the digits that give the same surface again.
+ * @param {Partial<Pick<Scene, "volume">>} scene
+ * @param {number} isovalue
+ */
+function spelled({ volume }, isovalue) {
+  return volume ? exactValue(isovalue, volume.value_range) : isovalue;
 }
 
 /**

@@ -2,7 +2,7 @@
 
 import { find, svgElement } from "../dom.js";
 import { isovalueComplaint } from "../net/address.js";
-import { niceStep, showNumber } from "../view/format.js";
+import { exactValue, niceStep, showNumber } from "../view/format.js";
 import { PAGES, nextStop } from "../view/keys.js";
 import { sliderRange } from "../view/model.js";
 import { setLimits } from "./knobs.js";
@@ -75,7 +75,7 @@ export function attachHistogram(form, scene, view, say) {
     slider.value = String(axis.to(isovalue));
     slider.setAttribute("aria-valuetext", show(isovalue));
     if (document.activeElement !== number || number.valueAsNumber !== isovalue)
-      number.value = show(isovalue);
+      number.value = String(exactValue(isovalue, scene.volume.value_range));
     ranks(isovalue);
     const { x, width } = solidSpan(axis.share(isovalue), scene.solid === "below");
     solid.setAttribute("x", String(x));

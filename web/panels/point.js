@@ -1,7 +1,7 @@
 /** The card of a point of the surface: facts about the point, next to its mark. */
 
 import { find, textElement } from "../dom.js";
-import { errorInWords } from "../view/format.js";
+import { errorInWords, exactValue } from "../view/format.js";
 import { placeInWords } from "../view/measures.js";
 
 /** @typedef {import("../net/schemas.js").Scene} Scene */
@@ -152,7 +152,7 @@ export function pointRows(
   return {
     Position: place,
     Voxel: indices === placeInWords({ ...volume, unit: "" }, position, sides) ? "" : indices,
-    Value: value === null ? "" : minus(String(Number(value.toPrecision(6)))),
+    Value: value === null ? "" : minus(String(exactValue(value, volume.value_range))),
     Wall: wall === null ? "" : String(wall + 1),
     Normal: normal.map((x) => minus(x.toFixed(2).replace("-0.00", "0.00"))).join(", "),
     Light: `${light.map((x) => Number(x.toPrecision(3))).join(", ")} linear, ${displayed}`,

@@ -4,7 +4,7 @@
  */
 
 import { textElement } from "../dom.js";
-import { niceStep, showNumber } from "../view/format.js";
+import { exactValue } from "../view/format.js";
 import { sliderRange } from "../view/model.js";
 
 /** @typedef {import("../net/schemas.js").Scene} Scene */
@@ -23,7 +23,8 @@ export function attachPresets(group, scene, view) {
   const { min, max } = sliderRange(scene, "isovalue");
   group.hidden = min === max;
   if (group.hidden) return;
-  const show = (/** @type {number} */ isovalue) => showNumber(isovalue, niceStep(max - min));
+  const show = (/** @type {number} */ isovalue) =>
+    String(exactValue(isovalue, scene.volume.value_range));
   const presets = scenePresets(scene);
   // Presets of the scene are fixed; kept isovalues belong to this browser.
   let kept = readKept(scene.id, { min, max });

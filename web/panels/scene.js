@@ -4,6 +4,7 @@
  */
 
 import { find, textElement } from "../dom.js";
+import { exactValue } from "../view/format.js";
 import { stopsInWords } from "./histogram.js";
 
 /** @typedef {import("../net/schemas.js").Scene} Scene */
@@ -75,7 +76,7 @@ export function volumeRows({
     "Voxel axes point to": [...volume.axes].join(", "),
     "Read as": volume.read_as ?? "",
     Notes: volume.notes.join(" "),
-    Values: `${volume.value_range.map((value) => Number(value.toPrecision(6))).join(" to ")}, ${volume.dtype}`,
+    Values: `${volume.value_range.map((value) => exactValue(value, volume.value_range)).join(" to ")}, ${volume.dtype}`,
     "Stops of the isovalue": stops.length ? stopsInWords(note) : null,
     "Not finite": volume.holes ? `${volume.holes} voxels, treated as empty` : null,
     Lights: lights
@@ -87,7 +88,7 @@ export function volumeRows({
     Labels: colours?.labels.length
       ? `${colours.colours.length} of ${colours.labels.length} shown`
       : null,
-    "Other surfaces": surfaces.map(surfaceInWords).join("; "),
+    "Other surfaces": surfaces.map((each) => surfaceInWords(each, volume)).join("; "),
     "Albedos to choose from":
       albedos && `${Number(albedos.min.toFixed(3))} to ${Number(albedos.max.toFixed(3))}`,
   };
@@ -101,11 +102,15 @@ function sharesInWords(colour) {
   return [...new Set(colour)].map((share) => Number(share.toFixed(3))).join(", ");
 }
 
-/** Describe a pinned surface. @param {import("../documents.js").Surface} surface */
-function surfaceInWords({ isovalue, name, clear, transmission }) {
+/**
+ * Describe a pinned surface.
+ * @param {import("../documents.js").Surface} surface
+ * @param {Scene["volume"]} volume
+ */
+function surfaceInWords({ isovalue, name, clear, transmission }, { value_range: range }) {
   const passing = clear ? `, ${percent(clear)} clear` : "";
   const through = transmission.some(Boolean) ? `, transmission ${sharesInWords(transmission)}` : "";
-  return `${name ? `${name} at ` : ""}${Number(isovalue.toPrecision(6))}${passing}${through}`;
+  return `${name ? `${name} at ` : ""}${exactValue(isovalue, range)}${passing}${through}`;
 }
 
 /**

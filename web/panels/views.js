@@ -44,7 +44,7 @@ export function viewsFile(kept) {
  */
 export function keyframeInWords({ isovalue, azimuth, elevation }) {
   const [value, around, above] = [isovalue, azimuth, elevation].map(Number);
-  return `${Number(value.toPrecision(6))}, azimuth ${Math.round(around)}°, elevation ${Math.round(above)}°`;
+  return `${value}, azimuth ${Math.round(around)}°, elevation ${Math.round(above)}°`;
 }
 
 /**

@@ -171,7 +171,7 @@ export class SlicesPane {
     const value = this.#figures.map((figure) => figure.value).find((each) => each !== null);
     find(this.#root, "#slices-place").textContent = place === indices ? `voxel ${indices}` : place;
     find(this.#root, "#slices-voxel").textContent =
-      `${place === indices ? "" : `voxel ${indices} · `}${valueInWords(value)}`;
+      `${place === indices ? "" : `voxel ${indices} · `}${valueInWords(value, this.#step)}`;
     const [black, white] = this.#greys;
     const shown = [white - black, (black + white) / 2];
     this.#inputs.forEach((input, k) => {
@@ -192,12 +192,16 @@ function rounded(greys, step) {
   return black < white ? [black, white] : null;
 }
 
-/** Write the value at the cross hair. @param {number|undefined} value undefined until it is here */
-function valueInWords(value) {
+/**
+ * Write the value at the cross hair.
+ * @param {number|undefined} value undefined until it has come
+ * @param {number} step of greys, of which a hundredth is told apart
+ */
+function valueInWords(value, step) {
   if (value === undefined) return "value …";
   return Number.isNaN(value)
     ? "a hole"
-    : `value ${String(Number(value.toPrecision(6))).replace("-", "−")}`;
+    : `value ${showNumber(value, step / 100).replace("-", "−")}`;
 }
 
 /**

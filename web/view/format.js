@@ -54,6 +54,22 @@ export function showNumber(value, step) {
 }
 
 /**
+ * Round a value to the digits that tell it from its neighbours in a range, as the server's single
+ * floats do: typed back, it is the same surface.
+ * @param {number} value
+ * @param {readonly [number, number]|number[]} range least and greatest value
+ * @returns {number}
+ */
+export function exactValue(value, [low, high]) {
+  const most = Math.max(Math.abs(low), Math.abs(high));
+  const digits = Math.ceil(Math.log10(most / (high - low))) + FLOAT_DIGITS;
+  return Number(value.toPrecision(Number.isFinite(digits) ? Math.min(17, digits) : 17));
+}
+
+/** Digits of a single float. */
+const FLOAT_DIGITS = 9;
+
+/**
  * Write a share in percent, rounded down, so that 100 % means all of it.
  * @param {number} share 0 to 1
  * @returns {string}

@@ -14,6 +14,7 @@ from typing import IO, Any
 import numpy as np
 
 from isogi_core.errors import VolumeError
+from isogi_core.files.formats.kinds import PACKED_SUFFIXES, ZIP_MAGIC
 from isogi_core.files.formats.source import (
     LUMINANCE_NOTE,
     Source,
@@ -27,9 +28,6 @@ from isogi_core.files.formats.source import (
 )
 from isogi_core.files.grid import Grid, Shape, read_as
 from isogi_core.files.packed_files import read_end
-
-NPY_MAGIC = b"\x93NUMPY"
-ZIP_MAGIC = b"PK\x03\x04"
 
 
 @reader("NumPy", "part", "time", "channel")
@@ -132,7 +130,6 @@ def _values(slab: np.ndarray, coloured: bool) -> np.ndarray:
 
 
 RAW_SUFFIXES = (".raw", ".bin", ".dat", ".data", ".vol")
-PACKED_SUFFIXES = (".gz", ".bz2")
 
 _TYPES = {
     **{
@@ -229,4 +226,39 @@ def _check_length(source: Source, shape: Shape, dtype: np.dtype[Any]) -> None:
         wrong = (
             f"'{source.name}' has {length} bytes, and {sizes} voxels of {dtype.name} take {size}"
         )
-        raise VolumeError(f"{wrong}: say what it holds, {RAW_EXAMPLE}.")
+        would = [
+            *(f"{sizes} of {name}" for name in types_of(length, math.prod(shape))),
+            *depths_of(length, shape, dtype),
+            *cubes_of(length),
+        ]
+        fits = f" ({' or '.join(would[:3])} would fit)" if would else ""
+        raise VolumeError(f"{wrong}{fits}: say what it holds, {RAW_EXAMPLE}.")
+
+
+USUAL_TYPES = {1: "uint8", 2: "uint16", 4: "float32", 8: "float64"}
+"""Types that bare voxels often have, by their bytes."""
+
+
+def types_of(length: int, voxels: int) -> list[str]:
+    """Name the type of which so many ``voxels`` take ``length`` bytes; none if there is none."""
+    if length % voxels:
+        return []
+    return [name for size, name in USUAL_TYPES.items() if size == length // voxels]
+
+
+def depths_of(length: int, shape: Shape, dtype: np.dtype[Any]) -> list[str]:
+    """Name the sizes of which ``length`` bytes are whole layers, if they are."""
+    depth, rest = divmod(length, shape[1] * shape[2] * dtype.itemsize)
+    if rest or not depth:
+        return []
+    return [f"{shape[2]} × {shape[1]} × {depth} of {dtype.name}"]
+
+
+def cubes_of(length: int) -> list[str]:
+    """Name the cubes of the usual types that take ``length`` bytes."""
+    sides = {name: round((length / size) ** (1 / 3)) for size, name in USUAL_TYPES.items()}
+    return [
+        f"{n} × {n} × {n} of {name}"
+        for (size, name), n in zip(USUAL_TYPES.items(), sides.values(), strict=True)
+        if n > 1 and n**3 * size == length
+    ]

@@ -48,13 +48,6 @@ MAX_TRANSFORM_GAP = 0.01
 """Voxels by which two transforms of a file must differ for this to be told."""
 
 
-def is_nifti(head: bytes) -> bool:
-    """Whether a file begins as NIfTI does: the header's size, and its magic."""
-    size = {head[:4], head[:4][::-1]}
-    one = (348).to_bytes(4, "little") in size and head[344:348] in (b"n+1\0", b"ni1\0")
-    return one or ((540).to_bytes(4, "little") in size and head[4:7] in (b"n+2", b"ni2"))
-
-
 @reader("NIfTI", "time", "channel")
 def open_nifti(source: Source) -> Grid:
     """Open a NIfTI file as a grid: only the header is read now. Raises VolumeError."""
@@ -241,29 +234,9 @@ def _field_slabs(
             yield scaling.apply(slab)
 
 
-MGH = b"\0\0\0\1"
-MGH_SUFFIXES = (".mgh", ".mgz")
-
-ANALYZE_HEADER_BYTES = 348
-REGULAR_MARK = slice(38, 39)
-"""The size of Analyze's header, its first number, and where most of its files have an r."""
-
 NO_SIDES = (
     "Analyze does not say where left is: x is taken to go to the patient's left, as SPM does."
 )
-
-
-def is_mgh(head: bytes, suffix: str) -> bool:
-    """Whether a file begins as MGH does, and is named so: its beginning alone is little."""
-    return head.startswith(MGH) and suffix in MGH_SUFFIXES
-
-
-def is_analyze(head: bytes, suffix: str) -> bool:
-    """Whether a file begins as Analyze does, and is named so or has its r; NIfTI begins so, too,
-    and has a mark.
-    """
-    sized = ANALYZE_HEADER_BYTES in (int.from_bytes(head[:4], order) for order in ("little", "big"))
-    return sized and (head[REGULAR_MARK] == b"r" or suffix in (".hdr", ".gz"))
 
 
 @reader("MGH", "time", "channel")
@@ -300,11 +273,6 @@ def open_analyze(source: Source) -> Grid:
 
 AFNI_ENDINGS = re.compile(r"\.(?:HEAD|BRIK)(\.gz|\.bz2)?$")
 """How the names of AFNI's pairs end: the header's, and the voxels'."""
-
-
-def is_afni(head: bytes, suffix: str) -> bool:
-    """Whether a file begins as AFNI's headers do, with an attribute, and is named so."""
-    return suffix == ".head" and head.lstrip().startswith(b"type") and b"-attribute" in head
 
 
 def afni_header(path: Path) -> Path | None:
@@ -348,16 +316,9 @@ def open_afni(source: Source) -> Grid:
 
 
 MINC1_MAGIC = b"CDF"
-MINC2_MAGIC = b"\x89HDF"
-MINC_SUFFIX = ".mnc"
-"""How MINC 1 and MINC 2 begin, as other files do, too, and how both are named."""
+"""How MINC 1 begins; MINC 2 is HDF5."""
 
 SCALED_SLICES = "MINC, each slice of a slope of its own,"
-
-
-def is_minc(head: bytes, suffix: str) -> bool:
-    """Whether a file begins as MINC does, and is named so."""
-    return suffix == MINC_SUFFIX and head.startswith((MINC1_MAGIC, MINC2_MAGIC))
 
 
 @reader("MINC", "time")

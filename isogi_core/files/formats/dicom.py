@@ -10,6 +10,14 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import VolumeError
+from isogi_core.files.formats.dicom_mosaic import (
+    MOSAIC_NOTE,
+    MOSAIC_TAGS,
+    Tile,
+    is_mosaic,
+    mosaic_of,
+    plane_of,
+)
 from isogi_core.files.formats.dicom_stack import (
     SEGMENT_TAGS,
     Slice,
@@ -72,6 +80,8 @@ HEADER_TAGS = (
     *("PerFrameFunctionalGroupsSequence", "SharedFunctionalGroupsSequence", "TransferSyntaxUID"),
     *("FloatPixelData", "DoubleFloatPixelData", "GridFrameOffsetVector", "DoseGridScaling"),
     *SEGMENT_TAGS,
+    *MOSAIC_TAGS,
+    *("MediaStorageSOPClassUID", "DirectoryRecordSequence"),
     *(
         f"{kind}PixelPadding{end}"
         for kind in ("", "Float", "DoubleFloat")
@@ -97,12 +107,14 @@ class Place:
     """Where the pixels of a slice are: a file, None for an upload, and the number of the frame in
     it.
 
-    In a segmentation they are those of a ``segment``, which are then its number.
+    In a segmentation they are those of a ``segment``, which are then its number; in a mosaic those
+    of a ``tile``.
     """
 
     path: Path | None
     frame: int
     segment: int = 0
+    tile: Tile | None = None
 
 
 def is_dicom(head: bytes) -> bool:
@@ -119,6 +131,11 @@ def open_dicom(source: Source) -> Grid:
     _check_inflated(source)
     folder = source.is_folder
     headers: Headers = list(_headers(source)) if folder else [(source.path, _read_header(source))]
+    if headers and "DirectoryRecordSequence" in headers[0][1]:
+        raise VolumeError(
+            f"'{source.name}' is the list of a DICOM disk: give the folder with the images of one "
+            "series."
+        )
     if not headers or "Rows" not in headers[0][1]:
         raise VolumeError(f"'{source.name}' holds no DICOM image: check the volume's path.")
     chosen = _series(source, headers)
@@ -128,7 +145,7 @@ def open_dicom(source: Source) -> Grid:
         )
     first = chosen[0][1]
     segmented = is_segmentation(chosen[0][1])
-    slices = [each for path, header in chosen for each in _slices_of(path, header)]
+    slices = [each for path, header in chosen for each in _slices_of(source.name, path, header)]
     slices = overlaid(slices) if segmented else slices
     stack, notes = stack_of(source.name, slices, partial(pick, source, "time"), segmented)
     if len(stack.layers) == 1 and not folder:
@@ -136,7 +153,10 @@ def open_dicom(source: Source) -> Grid:
             f"'{source.name}' is one slice: give the folder of its series, or a file of many "
             "frames."
         )
-    source.check((len(stack.layers), int(first.Rows), int(first.Columns)))
+    rows, columns = plane_of(first)
+    source.check((len(stack.layers), rows, columns))
+    if is_mosaic(first):
+        notes = (*notes, MOSAIC_NOTE.format(count=len(stack.layers)))
     packings = {each.packing for each in slices}
     coloured = int(first.get("SamplesPerPixel", 1)) > 1
     if str(first.get("PhotometricInterpretation", "")) == "PALETTE COLOR" and not segmented:
@@ -150,15 +170,17 @@ def open_dicom(source: Source) -> Grid:
         affine = Affine.of(DICOM_TO_RAS @ stack.affine, PATIENT_AXES)
     else:
         affine = None
-    shape = (len(stack.layers), int(first.Rows), int(first.Columns))
+    shape = (len(stack.layers), rows, columns)
     layers = partial(_layers, source, stack.layers, shape, dtype)
     files = sorted({path for path, _ in chosen if path is not None})
     notes = (*notes, *((LUMINANCE_NOTE,) if coloured else slices[0].packing.notes))
     stamp = source.stamp if source.archive else partial(_stamp_of_files, source, files)
     if affine is not None:
         placed = "its slices' positions"
-    else:
+    elif stack.measured:
         placed = "its slices' numbers"
+    else:
+        placed = ""
     known = slices[0].packing.read_as("DICOM segmentation" if segmented else "DICOM", placed)
     if len(packings) > 1:
         known = read_as(
@@ -208,12 +230,32 @@ def _check_inflated(source: Source) -> None:
         )
 
 
+PIXEL_TAGS = {
+    0x7FE00008: "FloatPixelData",
+    0x7FE00009: "DoubleFloatPixelData",
+    0x7FE00010: "PixelData",
+}
+"""Tags of pixels, and what DICOM calls them: the tag says whether they are whole numbers."""
+
+
 def _read_header(source: Source) -> Any:
-    pydicom = library("pydicom", "DICOM")
+    """Read the header of an image, up to its pixels. It has an element for pixels that are floats,
+    an empty one.
+    """
+    reading = library("pydicom.filereader", "DICOM")
+    pixels: list[str] = []
+
+    def stop(tag: int, _representation: str | None, _length: int) -> bool:
+        if tag in PIXEL_TAGS:
+            pixels.append(PIXEL_TAGS[tag])
+        return tag in PIXEL_TAGS
+
+    tags = [reading.Tag(each) for each in HEADER_TAGS]
     with source.open() as file:
-        return pydicom.dcmread(
-            file, stop_before_pixels=True, force=True, specific_tags=list(HEADER_TAGS)
-        )
+        header = reading.read_partial(file, stop, force=True, specific_tags=tags)
+    if pixels and pixels[0] != "PixelData":
+        setattr(header, pixels[0], b"")
+    return header
 
 
 def _headers(source: Source) -> Iterator[tuple[Path | None, Any]]:
@@ -271,8 +313,11 @@ def _about(series: Headers) -> str:
     return f"{described}, {frames} of {header.Columns} × {header.Rows}"
 
 
-def _slices_of(path: Path | None, header: Any) -> Iterator[Slice]:
-    """The slices in a file: its only one, or each of its frames."""
+def _slices_of(name: str, path: Path | None, header: Any) -> Iterator[Slice]:
+    """The slices in a file: its only one, each of its frames, or each tile of its mosaic."""
+    if is_mosaic(header):
+        yield from _tiles_of(name, path, header)
+        return
     count = int(header.get("NumberOfFrames") or 1)
     frames = header.get("PerFrameFunctionalGroupsSequence")
     shared = (header.get("SharedFunctionalGroupsSequence") or [None])[0]
@@ -280,6 +325,25 @@ def _slices_of(path: Path | None, header: Any) -> Iterator[Slice]:
         groups = [frames[number]] if frames else []
         groups += [shared] if shared is not None else []
         yield _slice(Place(path, number, segment_in(header, groups)), header, groups)
+
+
+def _tiles_of(name: str, path: Path | None, header: Any) -> Iterator[Slice]:
+    """The slices of a mosaic, which follow along its normal."""
+    mosaic = mosaic_of(name, header)
+    whole = _slice(Place(path, 0), header, [])
+    for n, tile in enumerate(mosaic.tiles):
+        each = replace(
+            whole,
+            place=(Place(path, 0, tile=tile),),
+            uid=f"{whole.uid} {n}",
+            number=(whole.number[0], n),
+            position=None,
+        )
+        if mosaic.position is None or mosaic.normal is None:
+            yield each
+        else:
+            shift = n * (whole.between or 1.0) * mosaic.normal
+            yield replace(each, position=tuple((mosaic.position + shift).tolist()))
 
 
 def _slice(place: Place, header: Any, groups: list[Any]) -> Slice:
@@ -455,6 +519,8 @@ class Frames:
                 self._file = place.path, pydicom.dcmread(file, force=True)
         data = self._file[1]
         values = np.asarray(self._decode(data, place.frame))
+        if place.tile is not None:
+            values = place.tile.of(values)
         if int(data.get("SamplesPerPixel", 1)) > 1:
             return luminance_of_colours(values)
         return numbered(

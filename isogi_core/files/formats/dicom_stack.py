@@ -160,19 +160,41 @@ def _placed(
             f"The slices of the segmentation '{name}' are unevenly spaced: save it in even ones."
         )
     else:
-        usual = float(steps.min())
+        usual, said = _even_step(name, steps, usual, len(slices))
         count = round(float(heights[-1] - heights[0]) / usual) + 1
-        if count > MAX_LAYERS_PER_SLICE * len(slices):
-            raise VolumeError(
-                f"The slices of '{name}' lie from {usual:.3g} to {steps.max():.3g} apart: "
-                "resample them."
-            )
         usual = float(heights[-1] - heights[0]) / (count - 1)
         layers = _mixed(slices, heights, heights[0] + usual * np.arange(count))
-        notes.append(
-            f"The slices are unevenly spaced: layers {usual:.4g} apart were interpolated, linearly."
-        )
+        notes.append(said.format(usual=usual))
     return _stack(layers, first, last, usual, len(layers)), tuple(notes)
+
+
+MAX_ODD_SHARE = 0.1
+"""Largest share of the steps that stray while the others are even."""
+
+
+def _even_step(name: str, steps: np.ndarray, usual: float, count: int) -> tuple[float, str]:
+    """Choose the step of even layers through uneven slices, with a note for that: the ``usual`` one
+    if few stray from it, else the least one, which loses none. Raises VolumeError if layers would
+    be too many.
+    """
+    odd = np.abs(steps - usual) > EVEN_STEP_SHARE * usual
+    span = float(steps.sum()) / usual
+    few = odd.sum() <= max(MAX_ODD_SHARE * len(steps), 2.0)
+    if few and 2 * odd.sum() < len(steps) and abs(span - round(span)) <= EVEN_STEP_SHARE:
+        worst = float(np.abs(steps - usual).max())
+        return usual, (
+            f"Slices lie up to {worst:.3g} mm off their even places, {{usual:.4g}} mm apart: "
+            "the layers there were interpolated, linearly."
+        )
+    least = float(steps.min())
+    if float(steps.sum()) / least > MAX_LAYERS_PER_SLICE * count:
+        raise VolumeError(
+            f"The slices of '{name}' lie from {least:.3g} to {steps.max():.3g} apart: resample "
+            "them."
+        )
+    return least, (
+        "The slices are unevenly spaced: layers {usual:.4g} apart were interpolated, linearly."
+    )
 
 
 def _with_gaps(slices: list[Slice], steps: np.ndarray) -> Layers:

@@ -5,8 +5,10 @@ One dataset, or variable, is chosen by its path in the file.
 """
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+import re
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from functools import partial
 from importlib import import_module
 from io import BytesIO
@@ -16,15 +18,25 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import VolumeError
+from isogi_core.files.coordinates import Along, along, place_by, role_of, roles_of, unread_spacing
+from isogi_core.files.formats.hdf5_dialects import (
+    CHOICES,
+    DESCRIPTIONS,
+    LEVELLED,
+    MOST_XML_BYTES,
+    Said,
+)
+from isogi_core.files.formats.side_headers import data_of
 from isogi_core.files.formats.source import (
     LAYERED,
     TIME_STEPS,
+    Picked,
     Source,
     library,
-    pick_axes,
+    pick_roles,
     reader,
 )
-from isogi_core.files.grid import Affine, Grid, slab_layers
+from isogi_core.files.grid import SINGLE_MOMENT, Grid
 from isogi_core.files.packing import (
     NETCDF_FILL_VALUES,
     PACKING_ATTRIBUTES,
@@ -33,21 +45,13 @@ from isogi_core.files.packing import (
     climate_packing,
 )
 
-HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
-
-EVEN_STEP_SHARE = 1e-3
-"""Largest part of a step by which a coordinate may stray for its axis to be even."""
-
 MINC_NOTE = (
     "The file is MINC: the scaling of its slices, and where it lies, are read of files "
     "named .mnc alone."
 )
 
-MICROMETRES_ATTRIBUTE = "element_size_um"
-"""The attribute by which microscopists' tools give spacing, z first."""
 
-
-@reader("HDF5", "part", "time", "channel")
+@reader("HDF5", "part", "time", "channel", "level")
 def open_hdf5(source: Source) -> Grid:
     """Open a dataset of an HDF5 file as a grid: only its description is read now. Raises
     VolumeError.
@@ -61,24 +65,113 @@ def open_hdf5(source: Source) -> Grid:
         _check_storage(source, data)
         others = _sources(source, data)
         _check_filters(source, data)
-        film = _is_time(data.dims[0])
-        picked, moment, first = pick_axes(source, tuple(map(int, data.shape)), film)
-        shape = tuple(int(n) for n in data.shape[-3:])
-        source.check(shape)
+        said = _said(source, data)
+        picked, moment, first = pick_roles(source, tuple(map(int, data.shape)), said.axes)
+        picked = picked.cropped(said.shape)
+        source.check(picked.shape)
         minc = (MINC_NOTE,) if "minc-2.0" in data.file else ()
-        packing = climate_packing(_climate(data), data.dtype, data.fillvalue)
-        spacing, affine, unit, notes = _place(data, shape)
-    slabs = partial(_dataset_slabs, source, picked, packing)
-    notes = (*packing.notes, *minc, *layered(film and not picked), *notes)
-    stamp = partial(source.stamp, *others)
-    if affine:
-        placed = "the coordinates of its axes"
-    elif unit:
-        placed = f"'{MICROMETRES_ATTRIBUTE}'"
-    else:
-        placed = ""
-    facts = spacing, slabs, stamp, affine, unit, notes, moment, first
-    return Grid(shape, packing.dtype, *facts, read_as=packing.read_as("HDF5", placed))
+        stored = np.dtype(f"u{data.dtype.itemsize}") if said.unsigned else data.dtype
+        packing = climate_packing(_climate(data), stored, data.fillvalue)
+        chunks = data.chunks or (1,) * data.ndim
+        name = data.name
+    if said.moment != SINGLE_MOMENT:
+        moment, first = said.moment, said.unchosen
+    slabs = partial(_dataset_slabs, source, name, picked, chunks[picked.order[0]], packing)
+    return Grid(
+        picked.shape,
+        packing.dtype,
+        said.place.spacing,
+        slabs,
+        partial(source.stamp, *others),
+        said.place.affine,
+        said.place.unit,
+        (*packing.notes, *minc, *said.notes, *said.place.notes),
+        moment,
+        first,
+        read_as=packing.read_as("HDF5", said.placed),
+    )
+
+
+BDV_HDF5 = re.compile(r"<hdf5\b[^>]*>([^<]+)</hdf5>")
+
+
+@reader("BigDataViewer's XML", "part", "time", "channel", "level")
+def open_bdv(source: Source) -> Grid:
+    """Open the HDF5 file that an XML file of BigDataViewer names. Raises VolumeError."""
+    with source.open() as file:
+        text = file.read(MOST_XML_BYTES).decode("utf-8", "replace")
+    named = BDV_HDF5.search(text)
+    if named is None:
+        raise VolumeError(
+            f"'{source.name}' is BigDataViewer's XML of data that is not HDF5: give the Zarr or "
+            "the images that it names."
+        )
+    return open_hdf5(replace(data_of(source, named[1].strip()), chosen=source.chosen))
+
+
+def _said(source: Source, data: Any) -> Said:
+    """Describe a dataset by the dialect that it is written in, else by the names of its axes and
+    their coordinates.
+    """
+    known = next((said for each in DESCRIPTIONS if (said := each(source, data))), Said())
+    if known.axes:
+        return known
+    scales = [_scale(data, axis) for axis in range(data.ndim)]
+    found = [_role(data, axis, scale) for axis, scale in enumerate(scales)]
+    if data.ndim > 3 and not any(found):
+        return known
+    roles = roles_of(found)
+    notes = (*known.notes, *layered("t" in found and "t" not in roles))
+    if known.place.said:
+        return replace(known, axes=roles, notes=notes)
+    used = [scales[roles.index(name)] for name in "xyz"]
+    if "t" in found and "t" not in roles:
+        used = []  # of a film no axis is a depth
+    axes = [None if scale is None else along(scale[()], _read(scale)) for scale in used]
+    place = place_by(axes)
+    if not place.said:
+        notes = (*notes, *unread_spacing(_small(data)), *unread_spacing(_small(data.parent)))
+    placed = "the coordinates of its axes" if place.said and not place.notes else known.placed
+    return replace(known, axes=roles, place=place, placed=placed, notes=notes)
+
+
+def _scale(data: Any, axis: int) -> Any:
+    """Find the numbers along an axis of a dataset; None if the file gives none."""
+    for scale in data.dims[axis].values():
+        if scale.shape == (data.shape[axis],) and scale.dtype.kind in "iuf":
+            return scale
+    return None
+
+
+def _role(data: Any, axis: int, scale: Any) -> str:
+    """Tell which axis a dimension is, by its label, by what its numbers are called as a scale, or
+    as a dataset.
+    """
+    dimension = data.dims[axis]
+    names = [dimension.label, *dimension.keys(), "" if scale is None else str(scale.name)]
+    attributes = {} if scale is None else _read(scale)
+    return next((role for name in names if (role := role_of(str(name), attributes))), "")
+
+
+def _small(held: Any) -> dict[str, Any]:
+    """Read the attributes of a dataset or a group that are numbers, of three at most."""
+    found = {}
+    for name in held.attrs:
+        with suppress(OSError, TypeError, ValueError):
+            kind = held.attrs.get_id(name)
+            if kind.shape in ((3,), (1, 3), (3, 1)) and kind.dtype.kind in "iuf":
+                found[str(name)] = held.attrs[name]
+    return found
+
+
+AXIS_ATTRIBUTES = ("units", "axis", "positive", "standard_name")
+
+
+def _read(scale: Any) -> dict[str, Any]:
+    """Read the attributes of an axis that say what it is; others may be of types that h5py does
+    not know.
+    """
+    return {name: scale.attrs[name] for name in AXIS_ATTRIBUTES if name in scale.attrs}
 
 
 HDF5_FILTERS = {
@@ -155,24 +248,6 @@ def _sources(source: Source, data: Any) -> list[Path]:
     return files
 
 
-def _is_time(axis: Any) -> bool:
-    """Whether a dimension is time, by its name, or by its coordinates' unit, such as days since
-    1970-01-01.
-    """
-    return says_time(
-        (axis.label, *axis.keys()), [scale.attrs.get("units", "") for scale in axis.values()]
-    )
-
-
-def says_time(names: Iterable[str], units: Iterable[Any]) -> bool:
-    """Whether one of a dimension's ``names`` is time, or one of its coordinates' ``units`` counts
-    since a date.
-    """
-    return any(name.lower() in ("time", "t") for name in names) or any(
-        " since " in attribute_text(unit) for unit in units
-    )
-
-
 def layered(film: bool) -> tuple[str, ...]:
     """The note that planes of a ``film`` are shown as layers; none of what is none."""
     if film:
@@ -180,16 +255,11 @@ def layered(film: bool) -> tuple[str, ...]:
     return ()
 
 
-def attribute_text(value: Any) -> str:
-    """An attribute as a text."""
-    if isinstance(value, bytes):
-        return value.decode("utf-8", "replace")
-    return str(value)
-
-
 @contextmanager
 def _dataset(source: Source) -> Iterator[Any]:
-    """The dataset that is chosen, the only one of three dimensions or more by default."""
+    """Open the dataset that is chosen; by default the one that the file's dialect means, else the
+    only one of three dimensions or more, or in space.
+    """
     h5py = library("h5py", "HDF5")
     with source.open() as file, h5py.File(source.path or file, "r", locking=False) as whole:
         part = source.chosen.get("part")
@@ -202,10 +272,27 @@ def _dataset(source: Source) -> Iterator[Any]:
             lambda _, each: fields.append(each) if isinstance(each, h5py.Dataset) else None
         )
         fields = [each for each in fields if each.ndim >= 3]
-        if part is None and len(fields) == 1:
-            yield fields[0]
-            return
-        raise unchosen(source, [each.name.strip("/") for each in fields])
+        if part is None:
+            found = next((data for each in CHOICES if (data := each(source, whole))), None)
+            fields_in_space = [each for each in fields if _is_in_space(each)]
+            only = [each for each in (fields, fields_in_space) if len(each) == 1]
+            meant = found or (only[0][0] if only else None)
+        else:
+            ending = [
+                each for each in fields if f"/{part.strip('/')}" == each.name[-len(part) - 1 :]
+            ]
+            meant = ending[0] if len(ending) == 1 else None
+        if meant is None:
+            raise unchosen(source, [each.name.strip("/") for each in fields])
+        if not any(each in LEVELLED and each(source, whole) for each in CHOICES):
+            source.refuse_others("part", "time", "channel")
+        yield meant
+
+
+def _is_in_space(data: Any) -> bool:
+    """Tell whether a dataset's axes are named as x, y, z, and perhaps time and channel."""
+    found = [_role(data, axis, _scale(data, axis)) for axis in range(data.ndim)]
+    return {"x", "y", "z"} <= set(found)
 
 
 def unchosen(source: Source, names: Sequence[str]) -> VolumeError:
@@ -224,71 +311,21 @@ def unchosen(source: Source, names: Sequence[str]) -> VolumeError:
 
 
 def _climate(data: Any) -> dict[str, Any]:
-    """The attributes of a dataset that are of CF's vocabulary; others may be of types that h5py
-    cannot read.
+    """Read the attributes of a dataset that are of CF's vocabulary; others may be of types that
+    h5py does not know.
     """
     return {name: data.attrs[name] for name in PACKING_ATTRIBUTES if name in data.attrs}
 
 
 def _dataset_slabs(
-    source: Source, picked: tuple[int, ...], packing: Packing
+    source: Source, name: str, picked: Picked, deep: int, packing: Packing
 ) -> Iterator[np.ndarray]:
-    """Some layers of chunks at a time."""
-    with _dataset(source) as data:
-        depth, ny, nx = data.shape[-3:]
-        deep = data.chunks[-3] if data.chunks else 1
-        step = max(slab_layers(ny * nx * data.dtype.itemsize) // deep, 1) * deep
-        for z in range(0, depth, step):
-            yield packing.apply(data[(*picked, slice(z, z + step))])
-
-
-Place = tuple[tuple[float, float, float], Affine | None, str, tuple[str, ...]]
-
-
-def _place(data: Any, shape: tuple[int, ...]) -> Place:
-    """Spacing, affine, unit and notes of a dataset: by its own attribute, or by the coordinates of
-    its dimensions.
-    """
-    if (
-        MICROMETRES_ATTRIBUTE in data.attrs
-        and len(np.ravel(data.attrs[MICROMETRES_ATTRIBUTE])) == 3
-    ):
-        z, y, x = (float(step) for step in data.attrs[MICROMETRES_ATTRIBUTE])
-        return (x, y, z), None, "µm", ()
-    return place_by([_coordinates(data, data.ndim - 1 - axis) for axis in range(3)])
-
-
-def place_by(scales: Sequence[tuple[np.ndarray, str] | None]) -> Place:
-    """Spacing, affine, unit and notes by the coordinates along x, y, z and their units, None where
-    there are none.
-    """
-    known = [scale for scale in scales if scale is not None]
-    if len(known) < 3 or len({unit for _, unit in known}) > 1:
-        return (1.0, 1.0, 1.0), None, "", ()
-    steps = [np.diff(values) for values, _ in known]
-    mean = [float(step.mean()) if step.size else 1.0 for step in steps]
-    uneven = any(
-        step.size and np.abs(step - m).max() > EVEN_STEP_SHARE * abs(m)
-        for step, m in zip(steps, mean, strict=True)
-    )
-    if uneven or 0.0 in mean:
-        return (
-            (1.0, 1.0, 1.0),
-            None,
-            "",
-            ("The coordinates of its axes are uneven: its voxels are taken as cubes.",),
-        )
-    x, y, z = (abs(m) for m in mean)
-    affine = np.column_stack([np.diag(mean), [float(values[0]) for values, _ in known]])
-    return (x, y, z), Affine.of(affine), known[0][1], ()
-
-
-def _coordinates(data: Any, axis: int) -> tuple[np.ndarray, str] | None:
-    """The coordinates along an axis, and their unit; None where the file gives none."""
-    for scale in data.dims[axis].values():
-        if scale.shape == (data.shape[axis],) and scale.dtype.kind in "iuf":
-            return np.asarray(scale[()], np.float64), attribute_text(scale.attrs.get("units", ""))
-    return None
+    """Read some layers of chunks at a time."""
+    h5py = library("h5py", "HDF5")
+    with source.open() as file, h5py.File(source.path or file, "r", locking=False) as whole:
+        data = whole[name]
+        for z, end in picked.blocks(deep, data.dtype.itemsize):
+            yield packing.apply(picked.turned(data[picked.layers(z, end)]))
 
 
 NETCDF_MAGIC = b"CDF"
@@ -312,30 +349,35 @@ def open_netcdf(source: Source) -> Grid:
         data = _chosen(source, variables)
         stored = data.data.dtype
         names = tuple(map(str, data.dimensions))
-        extra = tuple(map(int, data.data.shape[:-3]))
-        shape = tuple(map(int, data.data.shape[-3:]))
-        film = says_time(names[:1], _units(variables, names[0]))
-        picked, moment, first = pick_axes(source, (*extra, *shape), film)
-        source.check(shape)
-        packing = climate_packing(data._attributes, stored, _filled(data.data[picked]))
-        spacing, affine, unit, notes = place_by(
-            [_classic_coordinates(variables, name) for name in names[:-4:-1]]
+        shape = tuple(map(int, data.data.shape))
+        axes = [_attributes(variables, name) for name in names]
+        found = [role_of(name, each) for name, each in zip(names, axes, strict=True)]
+        roles = roles_of(found) if len(shape) == 3 or any(found) else ()
+        picked, moment, first = pick_roles(source, shape, roles)
+        source.check(picked.shape)
+        packing = climate_packing(data._attributes, stored, _filled(data.data[picked.key]))
+        film = "t" in found and "t" not in roles
+        place = place_by(
+            [
+                _classic_coordinates(variables, names[n], axes[n])
+                for n in (() if film else picked.order[::-1])
+            ]
         )
     slabs = partial(_variable_slabs, source, picked, packing)
-    notes = (*packing.notes, *layered(film and not extra), *notes)
-    known = packing.read_as("classic NetCDF", "the coordinates of its axes" if affine else "")
+    notes = (*packing.notes, *layered(film), *place.notes)
+    placed = "the coordinates of its axes" if place.said and not place.notes else ""
     return Grid(
-        shape,
+        picked.shape,
         packing.dtype,
-        spacing,
+        place.spacing,
         slabs,
         source.stamp,
-        affine,
-        unit,
+        place.affine,
+        place.unit,
         notes,
         moment,
         first,
-        read_as=known,
+        read_as=packing.read_as("classic NetCDF", placed),
     )
 
 
@@ -356,19 +398,27 @@ def _variables(source: Source) -> Iterator[dict[str, Any]]:
 
 
 def _chosen(source: Source, variables: dict[str, Any]) -> Any:
-    """The variable that is chosen, the only one of three dimensions or more by default."""
+    """Find the variable that is chosen; by default the only one of three dimensions or more, else
+    the only one in space.
+    """
     fields = {
         name: each
         for name, each in variables.items()
         if len(each.dimensions) > 2 and each.data.dtype.kind in "if"
     }
     part = source.chosen.get("part")
+    in_space = [
+        each
+        for each in fields.values()
+        if {"x", "y", "z"}
+        <= {role_of(name, _attributes(variables, name)) for name in each.dimensions}
+    ]
     if part:
         found = fields.get(part.strip("/"))
     elif len(fields) == 1:
         found = next(iter(fields.values()), None)
     else:
-        found = None
+        found = in_space[0] if len(in_space) == 1 else None
     if found is None:
         raise unchosen(source, list(fields))
     return found
@@ -382,28 +432,25 @@ def _filled(field: np.ndarray) -> Any:
     return mark if (field == mark).any() else None
 
 
-def _units(variables: dict[str, Any], name: str) -> list[str]:
-    """The unit of a dimension's coordinates, as a list; empty where it has none."""
+def _attributes(variables: dict[str, Any], name: str) -> dict[str, Any]:
+    """Return the attributes of a dimension's coordinates; none if it has no coordinates."""
     found = variables.get(name)
-    if found is None:
-        return []
-    return [attribute_text(found._attributes.get("units", ""))]
+    return {} if found is None else dict(found._attributes)
 
 
-def _classic_coordinates(variables: dict[str, Any], name: str) -> tuple[np.ndarray, str] | None:
-    """The coordinates of a dimension, and their unit; None where the file gives none."""
+def _classic_coordinates(
+    variables: dict[str, Any], name: str, attributes: dict[str, Any]
+) -> Along | None:
+    """Return the coordinates of a dimension; None if the file gives none."""
     found = variables.get(name)
     if found is None or found.dimensions != (name,) or found.data.dtype.kind not in "if":
         return None
-    return np.array(found.data, np.float64), _units(variables, name)[0]
+    return along(np.array(found.data, np.float64), attributes)
 
 
-def _variable_slabs(
-    source: Source, picked: tuple[int, ...], packing: Packing
-) -> Iterator[np.ndarray]:
-    """Some layers at a time."""
+def _variable_slabs(source: Source, picked: Picked, packing: Packing) -> Iterator[np.ndarray]:
+    """Read some layers at a time."""
     with _variables(source) as variables:
-        field = _chosen(source, variables).data[picked]
-        step = slab_layers(field[0].nbytes)
-        for z in range(0, len(field), step):
-            yield packing.apply(np.array(field[z : z + step]))
+        field = _chosen(source, variables).data
+        for z, end in picked.blocks(1, field.dtype.itemsize):
+            yield packing.apply(np.array(picked.turned(field[picked.layers(z, end)])))

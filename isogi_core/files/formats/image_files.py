@@ -1,14 +1,17 @@
-"""MetaImage (.mha, .mhd) and what else SimpleITK reads, and VTK's image files (.vti), read by VTK:
-both are extras.
+"""MetaImage (.mha, .mhd) and what else SimpleITK reads, and VTK's image files (.vti, .pvti) and
+rectilinear grids (.vtr), read by VTK: both are extras.
 """
 
+import re
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 
 from isogi_core.errors import VolumeError
+from isogi_core.files.coordinates import Along, place_by
 from isogi_core.files.formats.source import Source, library, pick, pick_step, reader
 from isogi_core.files.grid import (
     PATIENT_AXES,
@@ -143,7 +146,57 @@ def open_vti(source: Source) -> Grid:
     """Open an array of an image file as a grid: only its description is read now. Raises
     VolumeError.
     """
-    image = ImageFile(source)
+    return _grid_of(ImageFile(source), source, "VTI")
+
+
+PIECE_SOURCE = re.compile(rb"<Piece\b[^>]*\bSource\s*=\s*[\"']([^\"']+)[\"']")
+MOST_LIST_BYTES = 1 << 24
+"""Bytes of a list of pieces that are looked at."""
+
+
+@reader("PVTI", "part", "channel")
+def open_pvti(source: Source) -> Grid:
+    """Open an image file whose pieces are other files, as programs on many processors write it.
+    Raises VolumeError.
+    """
+    if source.path is None:
+        raise VolumeError(
+            f"'{source.name}' lists pieces in other files: save it as one .vti file, in ParaView."
+        )
+    with source.open() as file:
+        names = PIECE_SOURCE.findall(file.read(MOST_LIST_BYTES))
+    pieces = [source.path.parent / name.decode("utf-8", "replace") for name in names]
+    missing = [piece.name for piece in pieces if not piece.is_file()]
+    if missing:
+        raise VolumeError(
+            f"'{source.name}' lists pieces in other files, and '{missing[0]}' is not there: put it "
+            "there."
+        )
+    grid = _grid_of(ImageFile(source, "vtkXMLPImageDataReader"), source, "PVTI")
+    return replace(grid, stamp=partial(source.stamp, *pieces))
+
+
+@reader("VTR", "part", "channel")
+def open_vtr(source: Source) -> Grid:
+    """Open an array of a rectilinear grid, by the coordinates of its axes. Raises VolumeError."""
+    image = ImageFile(source, "vtkXMLRectilinearGridReader")
+    grid = _grid_of(image, source, "VTR")
+    axes = image.coordinates()
+    if grid.shape != tuple(len(each) for each in axes[::-1]):
+        axes = [(each[1:] + each[:-1]) / 2.0 for each in axes]  # values of cells, in their middles
+    place = place_by([Along(each) for each in axes])
+    known = "its coordinates" if place.said and not place.notes else ""
+    return replace(
+        grid,
+        spacing=place.spacing,
+        affine=place.affine,
+        notes=(*grid.notes, *place.notes),
+        read_as=read_as("VTR", grid.dtype, known),
+    )
+
+
+def _grid_of(image: "ImageFile", source: Source, kind: str) -> Grid:
+    """Make the grid of the array of an image file that is chosen. Raises VolumeError."""
     name = _name(source, image.names)
     shape = image.shape(name)
     source.check(shape)
@@ -168,7 +221,7 @@ def open_vti(source: Source) -> Grid:
         slabs,
         source.stamp,
         affine,
-        read_as=read_as("VTI", dtype, "its origin and spacing"),
+        read_as=read_as(kind, dtype, "its origin and spacing"),
     )
 
 
@@ -177,13 +230,13 @@ class ImageFile:
     VolumeError on damage.
     """
 
-    def __init__(self, source: Source) -> None:
-        """Read the description."""
+    def __init__(self, source: Source, reader: str = "vtkXMLImageDataReader") -> None:
+        """Read the description, by a ``reader`` of VTK."""
         self.name = source.name
         self._errors: list[str] = []
         self._check_end(source)
         library("vtk", "VTI", VTK_EXTRA)
-        self._reader = library("vtkmodules.vtkIOXML", "VTI", VTK_EXTRA).vtkXMLImageDataReader()
+        self._reader = getattr(library("vtkmodules.vtkIOXML", "VTI", VTK_EXTRA), reader)()
         self._reader.AddObserver("ErrorEvent", lambda _, event: self._errors.append(event))
         if source.path is not None:
             self._reader.SetFileName(str(source.path))
@@ -199,8 +252,9 @@ class ImageFile:
             "vtkmodules.vtkCommonExecutionModel", "VTI", VTK_EXTRA
         ).vtkStreamingDemandDrivenPipeline
         self.extent = [int(n) for n in about.Get(steps.WHOLE_EXTENT())]
-        self.spacing = np.array(about.Get(keys.SPACING()))
-        self.origin = np.array(about.Get(keys.ORIGIN()))
+        even = about.Has(keys.SPACING())
+        self.spacing = np.array(about.Get(keys.SPACING())) if even else np.ones(3)
+        self.origin = np.array(about.Get(keys.ORIGIN())) if even else np.zeros(3)
         if about.Has(keys.DIRECTION()):
             turned = about.Get(keys.DIRECTION())
         else:
@@ -252,6 +306,21 @@ class ImageFile:
         nx, ny, nz = (n - cells for n in image.GetDimensions())
         start = lowest - image.GetExtent()[4]
         return np.array(values.reshape(nz, ny, nx, -1)[start : start + count])
+
+    def coordinates(self) -> list[np.ndarray]:
+        """Read the coordinates of a rectilinear grid along x, y, z: of a row along each axis."""
+        convert = library("vtkmodules.util.numpy_support", "VTI", VTK_EXTRA).vtk_to_numpy
+        found = []
+        for axis, name in enumerate("XYZ"):
+            row = list(self.extent)
+            for other in {0, 1, 2} - {axis}:
+                row[2 * other + 1] = row[2 * other]
+            self._reader.UpdateExtent(row)
+            self._check()
+            found.append(
+                np.array(convert(getattr(self._reader.GetOutput(), f"Get{name}Coordinates")()))
+            )
+        return found
 
     def numbers(self, name: str) -> int:
         """How many numbers each point of an array has."""

@@ -8,17 +8,14 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import VolumeError
+from isogi_core.files.coordinates import SPACING_KEY
+from isogi_core.files.formats.chemistry.levels import level_in
 from isogi_core.files.formats.source import Source, library, pick, raw_slabs, reader
 from isogi_core.files.grid import Affine, Grid, read_as
 
 MRC_HEADER_BYTES = 1024
 EXTENDED_SIZE_BYTE = 92
 """Bytes of a header, and the byte from which on it says how long the extended header is."""
-
-
-def is_mrc(head: bytes) -> bool:
-    """Whether a file begins as MRC does: by its stamp."""
-    return head[208:211] == b"MAP"
 
 
 @reader("MRC", "time")
@@ -37,6 +34,8 @@ def open_mrc(source: Source) -> Grid:
     volumes = _volumes(header, shape[0])
     time = pick(source, "time", volumes, "volumes")
     first = MRC_HEADER_BYTES + extended
+    if min(float(header["cella"][name]) for name in "xyz") <= 0.0:
+        notes = (*notes, f"The file has no cell, a voxel is taken as 1 Å wide: {SPACING_KEY}.")
     notes = (*notes, *source.cut_notes(first + math.prod(shape) * dtype.itemsize))
     shape = (shape[0] // volumes, *shape[1:])
     start = first + time * math.prod(shape) * dtype.itemsize
@@ -53,7 +52,21 @@ def open_mrc(source: Source) -> Grid:
         "Å",
         notes,
         read_as=read_as("MRC", dtype, "its cell and origin"),
+        level=level_in(_labels(header)),
+        deviations=CRYSTAL_DEVIATIONS if int(header["ispg"]) > 1 else MICROSCOPE_DEVIATIONS,
     )
+
+
+MICROSCOPE_DEVIATIONS = 3.0
+CRYSTAL_DEVIATIONS = 1.5
+"""Standard deviations above the mean at which maps are shown at first: of cryo-EM, whose box is
+mostly empty, and of a crystal's cell, which is full (Coot's start for 2Fo - Fc).
+"""
+
+
+def _labels(header: Any) -> str:
+    """The labels of a header, one after the other."""
+    return " ".join(bytes(label).decode("latin-1") for label in header["label"])
 
 
 def _header(source: Source) -> Any:

@@ -22,6 +22,7 @@ import nrrd
 import numpy as np
 
 from isogi_core.errors import VolumeError
+from isogi_core.files.coordinates import SPACING_KEY
 from isogi_core.files.formats.source import (
     LUMINANCE_NOTE,
     Source,
@@ -32,12 +33,14 @@ from isogi_core.files.formats.source import (
     skip,
 )
 from isogi_core.files.grid import (
+    APERIODIC,
     MAX_VOXELS,
     PATIENT_AXES,
     SINGLE_MOMENT,
     Affine,
     Grid,
     LabelName,
+    Periodic,
     read_as,
     slab_layers,
 )
@@ -405,6 +408,14 @@ def unit_of(header: Header) -> str:
     return units.pop() if len(units) == 1 else ""
 
 
+def unit_notes(header: Header) -> tuple[str, ...]:
+    """Say so if axes have several units."""
+    units = [str(unit).strip('"') for unit in header.get("space units", ())]
+    if len(set(units)) < 2:
+        return ()
+    return (f"Its axes are in {', '.join(units)}, taken as one unit: {SPACING_KEY}.",)
+
+
 _DIGITS = re.compile(r"%0?\d{0,2}d")
 """A number in a pattern of names, of at most 99 digits: each name is made in memory."""
 
@@ -489,12 +500,48 @@ def open_nrrd(source: Source) -> Grid:
         partial(_stamp, source, files),
         affine_of(header, layout),
         unit_of(header),
-        (*layout.notes, *cut),
+        (*layout.notes, *cut, *unit_notes(header)),
         layout.moment,
         layout.unchosen,
         labels_of(header, layout.number or 0),
         read_as("NRRD", dtype, placed_by(header)),
+        periodic_of(header),
+        number_of(header, LEVEL_KEY),
+        number_of(header, DEVIATIONS_KEY),
     )
+
+
+PERIODIC_KEY = "isogi periodic"
+LEVEL_KEY = "isogi level"
+DEVIATIONS_KEY = "isogi deviations"
+"""Keys by which isogi keeps the meaning of a grid that came in another kind of file."""
+
+
+def meaning_lines(grid: Grid) -> list[str]:
+    """Lines of a header that keep what ``periodic_of`` and ``number_of`` read."""
+    given = {LEVEL_KEY: grid.level, DEVIATIONS_KEY: grid.deviations}
+    numbers = [f"{key}:={value!r}" for key, value in given.items() if value is not None]
+    if any(grid.periodic):
+        return [f"{PERIODIC_KEY}:={' '.join(str(int(each)) for each in grid.periodic)}", *numbers]
+    return numbers
+
+
+def periodic_of(header: Header) -> Periodic:
+    """Along which axes the field repeats, as isogi's key says."""
+    words = str(header.get(PERIODIC_KEY, "")).split()
+    if len(words) != 3:
+        return APERIODIC
+    x, y, z = (word == "1" for word in words)
+    return x, y, z
+
+
+def number_of(header: Header, key: str) -> float | None:
+    """The finite number of a header's ``key``; None without one."""
+    try:
+        number = float(header[key])
+    except (KeyError, ValueError):
+        return None
+    return number if math.isfinite(number) else None
 
 
 def _stamp(source: Source, files: list[Path]) -> str:

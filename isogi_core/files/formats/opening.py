@@ -1,8 +1,9 @@
-"""Opening volumes of any kind but Zarr: the kind is told by how a file begins, and then by its
-name.
+"""Opening volumes of any kind but Zarr, by the table of kinds; folders, archives, and what a file
+that is no volume seems to be.
 """
 
 import zlib
+from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any
 
@@ -11,103 +12,35 @@ from isogi_core.files.formats import (
     array_files,
     brain_files,
     dicom,
-    hdf5,
-    image_files,
-    mrc,
     nrrd,
+    scanner_files,
+    side_headers,
     tiff,
 )
-from isogi_core.files.formats.source import FILE_CHOICES, Reader, Source
+from isogi_core.files.formats.kinds import (
+    HEAD_BYTES,
+    ZIP_MAGIC,
+    Head,
+    head_of,
+    libraries_for,
+    reader_of,
+)
+from isogi_core.files.formats.other_kinds import (
+    BARE_VOXELS_HINT,
+    guess_of,
+    hint_of,
+    hint_of_folder,
+    is_text,
+)
+from isogi_core.files.formats.source import FILE_CHOICES, Source
 from isogi_core.files.grid import Grid
 
-PICTURE_HINT = (
-    "a picture, and a volume is many slices: give the folder of a stack of TIFFs, or one NRRD"
-)
-MESH_HINT = "a mesh of triangles, which has no values inside: give the volume that it was made from"
-BARE_VOXELS_HINT = (
-    "bare voxels without a header: say what they are by --raw "
-    "256x256x128,uint8,little, or in the name of the file"
-)
-LIGHT_PROBE_HINT = (
-    "a light probe: give it as --environment, or name it in a scene, environment = 'file.hdr'"
-)
-
-KINDS: tuple[tuple[bytes, str], ...] = (
-    (b"\x89PNG", PICTURE_HINT),
-    (b"\xff\xd8\xff", PICTURE_HINT),
-    (b"GIF8", PICTURE_HINT),
-    (b"#?R", LIGHT_PROBE_HINT),
-    (b"%PDF", "a PDF document: give the file of the volume itself"),
-    (b"solid ", MESH_HINT),
-    (b"ply\n", MESH_HINT),
-    (b"ply\r", MESH_HINT),
-    (b"glTF", MESH_HINT),
-    (b"<!DOCTYPE html", "a web page, as of a download that went wrong: fetch the file again"),
-    (b"<html", "a web page, as of a download that went wrong: fetch the file again"),
-    (b"version https://git-lfs", "a pointer of Git LFS, not the file: fetch that by git lfs pull"),
-)
-"""How files begin, and what they are."""
-
-WRONG_SUFFIXES = {
-    ".stl": MESH_HINT,
-    ".obj": MESH_HINT,
-    ".ply": MESH_HINT,
-    ".raw": BARE_VOXELS_HINT,
-    ".gz": BARE_VOXELS_HINT,
-    ".bin": BARE_VOXELS_HINT,
-}
-"""What the endings of names say of files that begin as nothing that is known."""
-
-
-def sort_of(head: bytes, suffix: str = "") -> str:
-    """What a file that begins with ``head`` seems to be, and what to do then; empty where nothing
-    tells.
-    """
-    return next(
-        (words for mark, words in KINDS if head.startswith(mark)), WRONG_SUFFIXES.get(suffix, "")
-    )
-
-
-HEAD_BYTES = 544
-"""Bytes by which a kind is told."""
+__all__ = ["HEAD_BYTES", "libraries_for", "open_file", "open_upload", "split_part"]
 
 KNOWN_KINDS = (
     "NRRD, NIfTI, DICOM, TIFF, MRC, HDF5, NetCDF, NumPy, MGH, Analyze, AFNI, MINC, "
-    "MetaImage, VTI or Zarr"
+    "MetaImage, VTI, Gaussian cube, CHGCAR, OpenDX, XSF or Zarr"
 )
-
-
-def opener_for(head: bytes, unpacked: bytes, suffix: str) -> Reader | None:
-    """The function that opens files which begin with ``head``; by their ``suffix`` where that says
-    nothing.
-
-    ``unpacked`` is how the content of a packed file begins: NIfTI, MRC and others are read out of
-    such.
-    """
-    kinds: list[tuple[bool, Reader]] = [
-        (head.startswith(b"NRRD") or suffix in (".nrrd", ".nhdr"), nrrd.open_nrrd),
-        (brain_files.is_nifti(unpacked), brain_files.open_nifti),
-        (brain_files.is_analyze(unpacked, suffix), brain_files.open_analyze),
-        (brain_files.is_mgh(unpacked, suffix), brain_files.open_mgh),
-        (brain_files.is_afni(head, suffix), brain_files.open_afni),
-        (dicom.is_dicom(head), dicom.open_dicom),
-        (tiff.is_tiff(head), tiff.open_tiff),
-        (mrc.is_mrc(unpacked), mrc.open_mrc),
-        (brain_files.is_minc(head, suffix), brain_files.open_minc),
-        (head.startswith(hdf5.HDF5_MAGIC), hdf5.open_hdf5),
-        (head.startswith(hdf5.NETCDF_MAGIC), hdf5.open_netcdf),
-        (head.startswith(array_files.NPY_MAGIC), array_files.open_numpy),
-        (head.startswith(array_files.ZIP_MAGIC), open_archive),
-        (b"<VTKFile" in head and b"ImageData" in head, image_files.open_vti),
-        (
-            b"NDims" in head or b"ObjectType" in head or head.startswith(b"# vtk DataFile"),
-            image_files.open_itk,
-        ),
-        (suffix in (".dcm", ".ima"), dicom.open_dicom),
-        (suffix == ".vti", image_files.open_vti),
-        (suffix in image_files.ITK_SUFFIXES, image_files.open_itk),
-    ]
-    return next((opener for fits, opener in kinds if fits), None)
 
 
 def open_file(path: Path, chosen: dict[str, Any]) -> Grid:
@@ -134,51 +67,102 @@ def open_upload(file: IO[bytes], name: str, most: int) -> Grid:
 
 def _open_by_head(source: Source) -> Grid:
     """Open a file as a grid, by how it begins, else by its name. Raises VolumeError."""
-    suffix = Path(source.name).suffix.lower()
-    with source.open() as file:
-        head = file.read(HEAD_BYTES)
-    if sort_of(head):
-        raise unknown(source.name, head)
+    head = _head(source)
+    if hint := hint_of(head):
+        raise VolumeError(f"'{source.name}' seems to be {hint}.")
+    if head.stored.startswith(ZIP_MAGIC):
+        return open_archive(source)
+    kind = reader_of(head)
+    if kind is not None:
+        if head.is_packed and not kind.unpacks and not kind.begins(head.stored):
+            raise VolumeError(
+                f"'{source.name}' seems to be {kind.name}, packed by gzip or "
+                "bzip2: unpack it first."
+            )
+        return kind.open()(source)
+    if not is_text(head) and (header := side_headers.header_beside(source)):
+        grid = _open_by_head(header)
+        note = f"'{Path(source.name).name}' is bare voxels: '{Path(header.name).name}' says what."
+        return replace(grid, notes=(*grid.notes, note))
     if array_files.is_raw(source.name):
-        bare = array_files.open_raw
-    else:
-        bare = None
-    opener = opener_for(head, _unpacked_head(source), suffix) or bare
-    if opener is None:
-        raise unknown(source.name, head, suffix)
-    return opener(source)
+        return array_files.open_raw(source)
+    raise _unknown(source, head)
+
+
+def _head(source: Source) -> Head:
+    """Read how a file begins; its content is empty if it cannot be unpacked."""
+    with source.open() as file:
+        stored = file.read(HEAD_BYTES)
+    with source.unpacked() as file:
+        try:
+            content = file.read(HEAD_BYTES)
+        except (OSError, EOFError, ValueError, zlib.error):
+            content = b""
+    return head_of(stored, content, source.name)
 
 
 def _header_of(path: Path) -> Path:
     """The header of a pair of files of which the voxels are named; any other path itself."""
     voxels = brain_files.PAIR_ENDINGS.search(path.name) is not None and ".img" in path.name.lower()
-    return (brain_files.beside(path, ".hdr") if voxels else brain_files.afni_header(path)) or path
+    if voxels:
+        header = brain_files.beside(path, ".hdr")
+    else:
+        header = brain_files.afni_header(path) or scanner_files.par_beside(path)
+    return header or path
 
 
-def unknown(name: str, head: bytes, suffix: str = "") -> VolumeError:
-    """What is wrong with a file that is no volume, with what it seems to be where that is known."""
-    sort = sort_of(head, suffix)
-    return VolumeError(
-        f"'{name}' seems to be {sort}."
-        if sort
-        else f"'{name}' is no volume that is known here: give {KNOWN_KINDS}."
-    )
+def _unknown(source: Source, head: Head) -> VolumeError:
+    """Say what is wrong with a file that is no volume, and what it seems to be if that is known."""
+    name = source.name
+    if not head.stored:
+        return VolumeError(f"'{name}' is empty: copy or write it again.")
+    if guess := guess_of(head):
+        if guess == BARE_VOXELS_HINT and not head.is_packed and (fits := _cubes(source)):
+            guess = f"{guess}; {fits} would fit"
+        return VolumeError(f"'{name}' seems to be {guess}.")
+    return VolumeError(f"'{name}' is no volume that is known here: give {KNOWN_KINDS}.")
 
 
-def _unpacked_head(source: Source) -> bytes:
-    """How a file's content begins; empty where it cannot be unpacked."""
-    with source.unpacked() as file:
-        try:
-            return file.read(HEAD_BYTES)
-        except (OSError, EOFError, ValueError, zlib.error):
-            return b""
+def _cubes(source: Source) -> str:
+    """Name cubes of voxels that a file would hold without a header; empty if there are none."""
+    with source.open() as file:
+        return " or ".join(array_files.cubes_of(file.seek(0, 2)))
 
 
 def _open_folder(source: Source) -> Grid:
-    """Open a folder of slices: TIFF where it holds such, else DICOM."""
+    """Open a folder of slices: TIFF if it holds such, else DICOM. Raises VolumeError, which says
+    what else the folder seems to be.
+    """
     if tiff.slices_in(source):
         return tiff.open_tiff_folder(source)
-    return dicom.open_dicom(source)
+    folder = source.path if source.archive is None else None
+    if folder is not None and (hint := hint_of_folder(folder)):
+        raise VolumeError(f"'{source.name}' seems to be {hint}.")
+    if any(dicom.may_be_dicom(source.at(path)) for path in source.paths):
+        return dicom.open_dicom(source)
+    raise _no_slices(source)
+
+
+def _no_slices(source: Source) -> VolumeError:
+    """Say what a folder without slices holds, and which of its files are volumes."""
+    paths = [path for path in source.paths if not path.name.startswith(".")]
+    volumes = [path for path in paths[:MOST_LOOKED_AT] if _is_whole(source.at(path))]
+    if volumes:
+        return VolumeError(
+            f"'{source.name}' is a folder, and {_some(volumes)} in it would open: give one of "
+            "these."
+        )
+    held = f"{len(paths)} files ({_some(paths)})" if paths else "no files"
+    return VolumeError(
+        f"'{source.name}' is a folder that holds {held} and no slice of DICOM or TIFF: give the "
+        "folder with the slices, or a file."
+    )
+
+
+def _some(paths: list[Path]) -> str:
+    """Name the first of some files."""
+    more = " …" if len(paths) > 4 else ""
+    return ", ".join(path.name for path in paths[:4]) + more
 
 
 HEADER_SUFFIX = ".nhdr"
@@ -212,10 +196,9 @@ def open_archive(source: Source) -> Grid:
         raise VolumeError(f"'{source.name}' holds several volumes ({listed}): give one of them.")
     if tiff.slices_in(folder) or any(dicom.may_be_dicom(folder.at(path)) for path in paths):
         return _open_folder(folder)
-    listed = ", ".join(path.name for path in paths[:4])
     raise VolumeError(
-        f"'{source.name}' holds {len(paths)} files ({listed}{' …' if len(paths) > 4 else ''}) that "
-        f"are no one volume: give {SLICES_HINT}."
+        f"'{source.name}' holds {len(paths)} files ({_some(paths)}) that are no one volume: give "
+        f"{SLICES_HINT}."
     )
 
 
@@ -223,79 +206,18 @@ MOST_LOOKED_AT = 64
 """Files of an archive of which it is asked whether they are a volume alone."""
 
 
+SLICE_KINDS = ("TIFF", "DICOM")
+"""Kinds of which a file may be one slice of many."""
+
+
 def _is_whole(source: Source) -> bool:
-    """Whether a file is a volume alone, and no slice of one."""
-    with source.open() as file:
-        head = file.read(HEAD_BYTES)
-    opener = opener_for(head, _unpacked_head(source), Path(source.name).suffix.lower())
-    return opener is not None and opener not in (tiff.open_tiff, dicom.open_dicom)
+    """Tell whether a file is a volume alone, and no slice of one."""
+    kind = reader_of(_head(source))
+    return kind is not None and kind.name not in SLICE_KINDS
 
 
 ZARR_FILES = ("zarr.json", ".zarray", ".zgroup")
 """Names of files by which a folder is a Zarr."""
-
-
-TIFF_CODECS = ("imcd", "zlib", "deflate", "jpeg8", "zstd")
-"""Packings of TIFF that are worth the time to load them, in a library that may be missing."""
-
-TIFF_MODULES = (
-    "tifffile",
-    "tifffile._imagecodecs",
-    "xml.etree.ElementTree",
-    "imagecodecs",
-    *(f"imagecodecs._{codec}" for codec in TIFF_CODECS),
-)
-
-DICOM_DECODERS = ("rle", "pillow", "pylibjpeg", "pyjpegls", "gdcm")
-PILLOW_FORMATS = ("Bmp", "Gif", "Ppm", "Png", "Jpeg", "Jpeg2K")
-JPEG_MODULES = ("openjpeg", *(f"PIL.{name}ImagePlugin" for name in PILLOW_FORMATS))
-"""What DICOM's packed pixels are unpacked by, where it is installed."""
-
-VTK_MODULES = (
-    "vtk",
-    *(
-        f"vtkmodules.{name}"
-        for name in ("vtkIOXML", "vtkCommonExecutionModel", "util.numpy_support")
-    ),
-)
-
-BRAIN_MODULES = ("nibabel", "nibabel.freesurfer.mghformat")
-
-LIBRARIES: tuple[tuple[int, bytes, tuple[str, ...]], ...] = (
-    (0, b"\0\0\0\1", BRAIN_MODULES),
-    (0, b"\x1f\x8b", (*BRAIN_MODULES, "mrcfile.utils", "mrcfile.mrcinterpreter")),
-    (0, b"BZh", (*BRAIN_MODULES, "mrcfile.utils", "mrcfile.mrcinterpreter")),
-    (344, b"n", ("nibabel",)),
-    (4, b"n", ("nibabel",)),
-    (
-        128,
-        b"DICM",
-        (
-            "pydicom.pixels",
-            *(f"pydicom.pixels.decoders.{name}" for name in DICOM_DECODERS),
-            *JPEG_MODULES,
-        ),
-    ),
-    (0, b"II", TIFF_MODULES),
-    (0, b"MM", TIFF_MODULES),
-    (208, b"MAP", ("mrcfile.utils", "mrcfile.mrcinterpreter")),
-    (0, b"\x89HDF", ("h5py", "h5py._hl.dims", "h5py._hl.filters", "nibabel.minc2")),
-    (0, b"CDF", ("nibabel.externals.netcdf", "nibabel.minc1")),
-    (0, b"<", VTK_MODULES),
-)
-"""Libraries that a file may need, by what it has at some byte."""
-
-ARCHIVE_MODULES = ("encodings.cp437", "zipfile")
-
-
-def libraries_for(head: bytes) -> list[str]:
-    """Modules that a file may need which begins with ``head``: more than it does, and never
-    less. An archive may hold files of all kinds but VTK's.
-    """
-    if head.startswith(b"PK"):
-        kinds = [names for _, _, names in LIBRARIES if names is not VTK_MODULES]
-        return [*ARCHIVE_MODULES, *dict.fromkeys(name for names in kinds for name in names)]
-    return [name for at, mark, names in LIBRARIES if head[at:].startswith(mark) for name in names]
 
 
 def split_part(name: str) -> tuple[str, dict[str, str]]:

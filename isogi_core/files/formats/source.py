@@ -4,7 +4,7 @@ share.
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial, wraps
@@ -359,3 +359,78 @@ def pick_axes(
         for key, n in zip(("time", "channel"), extra, strict=True)
     )
     return (time, channel), (time, extra[0]), False
+
+
+WHOLE_SLAB_BYTES = 1 << 28
+"""Bytes of a slab that is read across the order in which an array lies."""
+
+
+@dataclass(frozen=True)
+class Picked:
+    """What is read of an array: an element or a range along each axis, the ``key``; and the places
+    of z, y and x among the axes, their ``order``.
+    """
+
+    key: tuple[Any, ...]
+    order: tuple[int, int, int]
+    shape: Shape
+
+    def cropped(self, shape: Shape) -> "Picked":
+        """Keep the first voxels along z, y, x, as many as a ``shape`` has; all if that is empty."""
+        if not shape:
+            return self
+        key = list(self.key)
+        for place, n in zip(self.order, shape, strict=True):
+            key[place] = slice(0, n)
+        return replace(self, key=tuple(key), shape=shape)
+
+    def blocks(self, deep: int, itemsize: int) -> Iterator[tuple[int, int]]:
+        """Divide the layers along z into blocks of whole chunks, ``deep`` layers each: small ones,
+        or large ones if layers lie across the order of the array.
+        """
+        layer = self.shape[1] * self.shape[2] * itemsize
+        if self.order[0] == min(self.order):
+            most = slab_layers(layer)
+        else:
+            most = max(WHOLE_SLAB_BYTES // layer, 1)
+        step = max(most // deep, 1) * deep
+        for z in range(0, self.shape[0], step):
+            yield z, min(z + step, self.shape[0])
+
+    def layers(self, first: int, end: int) -> tuple[Any, ...]:
+        """Return the key of some layers along z."""
+        key = list(self.key)
+        key[self.order[0]] = slice(first, end)
+        return tuple(key)
+
+    def turned(self, block: np.ndarray) -> np.ndarray:
+        """Bring what was read by a key of layers into the order z, y, x."""
+        return block.transpose(np.argsort(np.argsort(self.order)))
+
+
+def pick_roles(
+    source: Source, shape: Shape, roles: Sequence[str]
+) -> tuple[Picked, tuple[int, int], bool]:
+    """Pick the field of an array whose axes have ``roles``: x, y, z, t and c; without roles, as
+    ``pick_axes`` does. Returns the moment too, and whether nobody chose a step among several.
+    Raises VolumeError.
+    """
+    if not roles:
+        ahead, moment, first = pick_axes(source, shape)
+        n = len(shape)
+        whole = (*ahead, slice(None), slice(None), slice(None))
+        return Picked(whole, (n - 3, n - 2, n - 1), shape[-3:]), moment, first
+    key: list[Any] = [slice(None)] * len(shape)
+    moment = SINGLE_MOMENT
+    first = False
+    for place, (role, length) in enumerate(zip(roles, shape, strict=True)):
+        if role in ("x", "y", "z"):
+            continue
+        if role == "t":
+            step, first = pick_step(source, length)
+            key[place] = step
+            moment = (step, length) if length > 1 else moment
+        else:
+            key[place] = pick(source, "channel", length, "channels")
+    z, y, x = (list(roles).index(name) for name in "zyx")
+    return Picked(tuple(key), (z, y, x), (shape[z], shape[y], shape[x])), moment, first

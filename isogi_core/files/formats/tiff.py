@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import VolumeError
+from isogi_core.files.coordinates import SPACING_KEY
 from isogi_core.files.formats.source import (
     LAYERED,
     LUMINANCE_NOTE,
@@ -27,6 +28,7 @@ from isogi_core.files.formats.source import (
 from isogi_core.files.grid import SINGLE_MOMENT, Grid, Shape
 from isogi_core.files.packed_files import stamp_of
 from isogi_core.files.packing import Packing, Scaling, holed
+from isogi_core.files.units import LENGTHS
 
 TIFF_SUFFIXES = (".tif", ".tiff")
 TIFF_UNITS = {
@@ -58,11 +60,6 @@ PLANE_COUNTS = {
 """What planes along an axis are that is no depth."""
 
 
-def is_tiff(head: bytes) -> bool:
-    """Whether a file begins as TIFF or BigTIFF does."""
-    return head[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-
-
 @reader("TIFF", "time", "channel", "series")
 def open_tiff(source: Source) -> Grid:
     """Open the first series of a TIFF file as a grid: only its description is read now. Raises
@@ -79,7 +76,9 @@ def open_tiff(source: Source) -> Grid:
         (ny, nx) = (shape[axes.rindex(axis)] for axis in PLANE_AXES)
         _check_page(source, series, coloured)
         source.check((len(pages), ny, nx))
-        spacing, unit = _spacing(whole)
+        found = _spacing(whole)
+        spacing, unit, assumed = found
+        others = _others(source, whole)
         if whole.is_ome:
             kind = "OME-TIFF"
         elif whole.is_imagej:
@@ -91,8 +90,14 @@ def open_tiff(source: Source) -> Grid:
         )
     slabs = partial(_page_slabs, source, pages, (ny, nx), packing)
     guess, doubt = _layers_of(axes, shape)
-    notes = ((LUMINANCE_NOTE,) if coloured else packing.notes) + doubt
-    known = packing.read_as(kind, f"{kind}'s sizes of voxels" if kind != "TIFF" else "") + guess
+    notes = ((LUMINANCE_NOTE,) if coloured else packing.notes) + doubt + assumed + others
+    if found is NOTHING_SAID:
+        placed = ""
+    elif kind != "TIFF":
+        placed = f"{kind}'s sizes of voxels"
+    else:
+        placed = "its resolution"
+    known = packing.read_as(kind, placed) + guess
     grid = Grid(
         (len(pages), ny, nx),
         packing.dtype,
@@ -190,6 +195,15 @@ def _series(source: Source, whole: Any) -> Any:
     return whole.series[number]
 
 
+def _others(source: Source, whole: Any) -> tuple[str, ...]:
+    """Say which other series a file has, if none is chosen."""
+    if len(whole.series) < 2 or "series" in source.chosen or _is_stack(whole.series):
+        return ()
+    sizes = [" × ".join(map(str, each.shape[::-1])) for each in whole.series[1:4]]
+    listed = ", ".join(f"#series={n} {size}" for n, size in enumerate(sizes, 1))
+    return (f"The first of {len(whole.series)} series is shown: there is also {listed}.",)
+
+
 def _is_stack(series: Any) -> bool:
     """Whether all series are planes, of one size and type."""
     kinds = {(each.axes, each.shape, each.dtype) for each in series}
@@ -284,16 +298,40 @@ def _plane(source: Source, whole: Any, series: Any, number: int, plane: Shape) -
     return values.reshape(plane)
 
 
-def _spacing(whole: Any) -> tuple[tuple[float, float, float], str]:
-    """Spacing and unit as microscopists' files say them; 1 without unit where a file says none."""
+Spacing = tuple[tuple[float, float, float], str, tuple[str, ...]]
+"""Steps along x, y, z, their unit, and notes on what was assumed."""
+
+NOTHING_SAID: Spacing = ((1.0, 1.0, 1.0), "", ())
+
+PLANES_NOTE = (
+    f"The file does not say how far planes lie apart, they are as far as pixels: {SPACING_KEY}."
+)
+
+
+def _spacing(whole: Any) -> Spacing:
+    """Read spacing and unit as microscopists' files say them, else the resolution in pixels a
+    centimetre: other files give one for printers, which is none.
+    """
     if whole.is_ome:
         return _ome_spacing(whole.ome_metadata or "")
+    page = whole.pages[0]
+    y, x = (_resolution(page, name) for name in ("YResolution", "XResolution"))
     if whole.is_imagej:
         about = whole.imagej_metadata or {}
-        y, x = (_resolution(whole.pages[0], name) for name in ("YResolution", "XResolution"))
         unit = str(about.get("unit", ""))
-        return (x, y, float(about.get("spacing", 0.0)) or x), TIFF_UNITS.get(unit, unit)
-    return (1.0, 1.0, 1.0), ""
+        between = abs(float(about.get("spacing", 0.0)))
+        if not between and (x, y) == (1.0, 1.0):
+            return NOTHING_SAID
+        notes = () if between else (PLANES_NOTE,)
+        return (x, y, between or x), TIFF_UNITS.get(unit, unit), notes
+    unit_tag = page.tags.get("ResolutionUnit")
+    if unit_tag is not None and int(unit_tag.value) == CENTIMETRE:
+        return (1e4 * x, 1e4 * y, 1e4 * x), "µm", (PLANES_NOTE,)
+    return NOTHING_SAID
+
+
+CENTIMETRE = 3
+"""TIFF's number of the unit of resolution."""
 
 
 def _resolution(page: Any, name: str) -> float:
@@ -303,21 +341,27 @@ def _resolution(page: Any, name: str) -> float:
     return below / above if above and below else 1.0
 
 
-def _ome_spacing(text: str) -> tuple[tuple[float, float, float], str]:
-    """Physical sizes of the first image; in its x axis's unit where all have the same."""
+def _ome_spacing(text: str) -> Spacing:
+    """Read physical sizes of the first image, in the unit of its x axis."""
     found = re.search(r"<(?:\w+:)?Pixels\b[^>]*>", text)
     if found:
         given = dict(re.findall(r'PhysicalSize(\w+)="([^"]*)"', found[0]))
     else:
         given = {}
     if not {"X", "Y"} <= set(given):
-        return (1.0, 1.0, 1.0), ""
-    units = {given.get(f"{axis}Unit", "µm") for axis in "XYZ" if axis in given}
-    unit = units.pop() if len(units) == 1 else None
-    if unit is None:
-        return (1.0, 1.0, 1.0), ""
-    x, y = float(given["X"]), float(given["Y"])
-    return (x, y, float(given.get("Z", x))), unit
+        return NOTHING_SAID
+    units = [given.get(f"{axis}Unit", "µm") for axis in "XYZ" if axis in given]
+    metres = [LENGTHS.get(unit.lower()) for unit in units]
+    scales = [1.0 for _ in units]
+    notes = () if "Z" in given else (PLANES_NOTE,)
+    first = metres[0]
+    if first is not None and None not in metres:
+        scales = [(each or first) / first for each in metres]
+    elif len(set(units)) > 1:
+        notes = (*notes, f"Its axes are in {', '.join(units)}, taken as one unit: {SPACING_KEY}.")
+    steps = [float(given[axis]) * scale for axis, scale in zip("XYZ", scales, strict=False)]
+    x, y, z = (*steps, steps[0])[:3]
+    return (x, y, z), units[0], notes
 
 
 def slices_in(folder: Source) -> list[Path]:

@@ -194,14 +194,16 @@ BODIES = {FOLDED: folded_body, RAW: raw_body, CODED: coded_body}
 def pack(
     chunks: ChunkTexels, normals: np.ndarray, values: np.ndarray, kind: int
 ) -> Iterator[bytes]:
-    """Yield the block of each chunk, of a ``kind``, from the ``normals`` (m, 3) and ``values``
-    (m, n) of its texels.
+    """Yield the block of each of the ``chunks``, of a ``kind``, from the ``normals`` (m, 3) and the
+    ``values`` (m, n) of all their texels: light, transfer or its codes, as the kind has it.
     """
-    # Sort the records of all chunks together, and add the means of bricks.
+    # Sort the records of all chunks together, and put the mean of each brick behind its texels. A
+    # card takes the mean in place of a texel that is not there.
     order = order_texels(chunks.texels)
     grade, found = with_means(order, chunks.reading.grade, np.column_stack([normals, values]))
     words = words_of(found[:, :3], grade)
     numbers = found[:, 3:]
+    # Each brick before one moves its first record by a mean.
     firsts = order.begins + np.arange(len(order.begins))
     owners = {index: number for number, index in enumerate(chunks.texels.chunks)}
     # Cut out the bricks and records of each chunk; a chunk without texels has none.

@@ -182,7 +182,8 @@ def noise_numbers(reading: Reading, pool: PagePool) -> np.ndarray:
     """Return the numbers that a filter needs besides light: log₂ of the scatter, and ±(1 + log₂ of
     the samples); (m, 2) float32.
 
-    The latter is negative if light is not grainy; both are 0 if there is none.
+    The latter is negative if light is not grainy; both are 0 if there is none. Logarithms fit half
+    floats, and 1 is added as the sign of log₂ 1 would be lost.
     """
     lit = reading.lit
     scatter = pool.scatter[reading.rows]

@@ -34,6 +34,9 @@ from isogi_core.kernels.shading.lobes import add_lobes
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.view import View
 
+DARKEST = 1e-150
+"""Least mean luminance that errors are relative to: its square is still a number."""
+
 CONTROLS = 256
 """Number of control pixels of a picture."""
 
@@ -131,6 +134,7 @@ class ControlPictures:
         if not (points := len(gbuffer.points)):
             return None
         light = RotatedLight(renderer.caches.spec("gi"), view)
+        # Without uncertainty controls are drawn evenly, so that each has the weight 1.
         places = draw_places(gbuffer, np.zeros(points), (number, 0), CONTROLS)
         halves = trace_controls(
             light, gbuffer, places, (0, paths_for(self._target)), number, renderer.tiles
@@ -150,11 +154,12 @@ class ControlPictures:
         return measure_total(np.concatenate(squares), 1.0)
 
     def _squares(self, control: Control, coding: Coding) -> np.ndarray:
-        """Return the squared errors of a picture's control pixels, relative to its mean light;
-        (k,).
+        """Return the squared errors of a picture's control pixels, relative to the square of its
+        mean light, so that those of several pictures can be averaged; (k,).
         """
         framebuffer = draw_coded(self._renderer, control.view, coding, self._target)
         picture = framebuffer.radiance[control.gbuffer.pixels] @ LUMINANCE_WEIGHTS
         shown = picture[control.pixels.places]
         mean = control.pixels.mean(shown, float(picture.mean()))
-        return control.pixels.squares(shown) / max(mean, np.finfo(float).tiny) ** 2
+        # A black picture has no relative error: the floor keeps its square above underflow.
+        return control.pixels.squares(shown) / max(mean, DARKEST) ** 2

@@ -13,7 +13,7 @@ TYPICAL = 0.5
 
 
 MOST_CODE = (1 << 15) - 1
-"""Largest code; the least is its opposite."""
+"""Largest code; the least is its opposite. Numbers beyond are cut to these."""
 
 
 NOISE_STEP = 1.0
@@ -62,8 +62,8 @@ def coding_for(spec: BakeSpec, scale: float, error: float) -> Coding:
 
 
 def band_means(light: np.ndarray) -> np.ndarray:
-    """Return the root mean square of each band of harmonics (channels, n²), for each of its
-    coefficients; of the same shape.
+    """Return harmonics (channels, n²) with each coefficient replaced by the root mean square of its
+    band, which does not change if the light turns.
     """
     bands = band_of(round(light.shape[1] ** 0.5))
     sums = np.stack([np.bincount(bands, each**2) for each in light]) / np.bincount(bands)

@@ -31,15 +31,16 @@ the bounces of the scene.
 FIRST_CONTROLS = 256
 CONTROLS_IF_MISSED = 1024
 MAX_CONTROLS = 4096
-"""Number of controls of the first round; of all rounds, for a picture that seems to miss its
-target; and of all rounds for one that seems to reach it, as narrowing its interval costs less
-than better light. Each further round at least doubles their number.
+"""Numbers of controls: of the first round; of all rounds at most if the picture seems to miss its
+target; and of all rounds at most if it seems to reach it. More of them are worth their paths then,
+as narrowing the interval costs less than better light. Each further round at least doubles them.
 """
 
 
 EVENLY_DRAWN = 0.5
-"""Share of the controls that is drawn evenly from the points of a picture; the others are drawn
-by uncertainty.
+"""Share of the controls that is drawn evenly from the points of a picture; the others are drawn in
+proportion to the uncertainty. Even draws keep each weight below 1 / EVENLY_DRAWN, also if the
+uncertainty misses an error.
 """
 
 
@@ -77,7 +78,9 @@ class ControlPixels:
         return cls(np.empty(0, np.int64), np.empty(0), np.empty((0, 2)))
 
     def joined(self, other: "ControlPixels") -> "ControlPixels":
-        """Concatenate these controls and ``other`` ones of the same picture."""
+        """Concatenate these controls and ``other`` ones of the same picture. The weights stay, as
+        each control counts for all points by its chance in the draw that it is from.
+        """
         places = np.append(self.places, other.places)
         weights = np.append(self.weights, other.weights)
         return ControlPixels(places, weights, np.concatenate([self.halves, other.halves]))
@@ -169,7 +172,8 @@ def draw_places(
     return their rows, (count,) int64.
 
     Half of them are drawn evenly, the others in proportion to the ``uncertainty`` (m,) of each
-    point (see ``chances``). Random numbers follow from the ``key`` alone.
+    point, a luminance. A control is weighted by 1 / (m · chance), which makes up for its uneven
+    ``chances``. The ``key`` seeds the random numbers: a picture gets the same controls again.
     """
     # Sort the points along Morton's curve, so that points near on the curve are near in the
     # picture.
@@ -230,7 +234,8 @@ def trace_controls(
     (k, 2). ``span`` is the number of paths of each half that were traced before, and the number
     to trace.
 
-    Each ``stream`` has random numbers of its own. Raises Cancelled.
+    The halves take the random sequences 2 · ``stream`` and 2 · ``stream`` + 1 of controls, so they
+    are independent of each other and of the light that the picture shows. Raises Cancelled.
     """
     first, paths = span
     # A point that was drawn more than once is traced once: it would draw the same random numbers.
@@ -246,15 +251,17 @@ def bounces_of_truth(light: RotatedLight) -> int:
     share CUT of the light. If the scene gives the number of bounces itself, return that.
     """
     plan = light.spec.prepared.scene.plan
-    # A plan that chose the bounces lists the error of those cut off.
+    # A plan that chose the bounces lists the error of those cut off. ``bounces_for`` keeps within
+    # BOUNCES_SHARE of the error that it is given; dividing by it leaves CUT.
     if "bounces" in dict(plan.errors):
         return max(bounces_for(light.reflecting, CUT / BOUNCES_SHARE), plan.bounces)
     return plan.bounces
 
 
 CONTROL_STANDARD_ERRORS = 2.2
-"""Standard errors from the middle to either end of an interval. With 1.96 of them, intervals of
-256 controls of seven views held the truth in 86 to 95 % of the cases, not in 95 %.
+"""Standard errors from the middle to either end of a 95 % interval, more than the 1.96 of a normal
+distribution: with these, intervals of 256 controls of seven views held the truth in 86 to 95 % of
+the cases.
 """
 
 
@@ -282,8 +289,8 @@ class TotalError:
     controls: int = 0
 
     def at_least(self, noise: float) -> "TotalError":
-        """Return the error of a picture whose ``noise`` alone is known to be this large: few
-        control pixels may find less by chance.
+        """Return this error, raised to the ``noise`` of the picture if it is smaller: the noise is
+        a part of the total error, but few control pixels may miss it by chance.
         """
         if noise <= self.likely:
             return self

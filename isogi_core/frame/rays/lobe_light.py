@@ -1,10 +1,11 @@
 """Direct light of lobes at the points of a view, by shadow rays.
 
 Lobes have an extent, so shadows have soft edges. Rays to the middles of lobes find the shadows.
-Points are asked in SAMPLING_TURNS turns, from a coarse grid of pixels to the finest: a point
+Points cast them in SAMPLING_TURNS turns, from a coarse grid of pixels to the finest: a point
 between neighbours that agree needs no ray. Rays to the rims of lobes then find points in
 half-shadow, starting at the edges of shadows. Only these points cast many rays, and share them with
-their neighbours.
+their neighbours. While a view moves, rays to middles alone are cast, and edges of shadows are
+blurred.
 """
 
 from dataclasses import dataclass
@@ -45,15 +46,15 @@ from isogi_core.model.environment import LUMINANCE_WEIGHTS
 LOBE_POINTS = 4096
 RIM_PAIRS = 1024
 HALF_SEEN_PAIRS = 256
-"""Surface points of a tile; pairs of a point and a lobe, at edges of shadows; and such pairs in
-half-shadow.
+"""Sizes of tiles, at most: in surface points; in pairs of a point and a lobe that cast rays to
+rims; and in pairs in half-shadow that cast the most rays.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class LobeLight:
-    """Direct light of lobes at a view's surface points: ``lit`` (m, 4) float32 in
-    ``BakeSpec.unit``, as from ``light_points``.
+    """Direct light of lobes at a view's surface points: ``lit`` (m, 4) float32, E/π as linear RGB
+    in ``BakeSpec.unit``, and the variance of its luminance by the rays of half-shadows.
 
     The surface has the albedo of the bake spec.
     """
@@ -86,8 +87,8 @@ class LobeLight:
 class ShadowStarts:
     """All that shadow rays of one view share, however the light turns.
 
-    ``picture`` holds its surface points; points of turn t, of SAMPLING_TURNS, are from ``ends[t]``
-    to ``ends[t + 1]`` in their order.
+    ``picture`` holds its surface points; those that cast rays in turn t, of SAMPLING_TURNS, are
+    from ``ends[t]`` to ``ends[t + 1]`` in ``picture.order``.
     """
 
     picture: ShadowPoints
@@ -113,8 +114,8 @@ def find_starts(gbuffer: GBuffer, tiles: Tiles) -> ShadowStarts:
     )
     ends = np.empty(SAMPLING_TURNS + 1, np.int64)
     traced = gbuffer.surface.traced(tiles.run)
-    # Find the origins of rays and the neighbours of each point, then the order in which points are
-    # asked.
+    # Find the origins of rays and the neighbours of each point, then the order in which points cast
+    # rays.
     tiles.run(lambda a, b: prepare_points(traced, picture, (a, b)), m, LOBE_POINTS)
     sort_by_turn(gbuffer.pixels, gbuffer.shape[1], picture.order, ends)
     return ShadowStarts(picture, ends)
@@ -123,19 +124,24 @@ def find_starts(gbuffer: GBuffer, tiles: Tiles) -> ShadowStarts:
 def find_lobes(
     light: RotatedLight, starts: ShadowStarts, traced: TracedSurface, tiles: Tiles
 ) -> LobeLight:
-    """Return the direct light of the lobes of a ``light``; a view that moves has fewer rays.
-    Raises Cancelled.
+    """Return the direct light of the lobes of a ``light`` at the points of a view. Raises
+    Cancelled.
+
+    A view that moves casts no rays to rims: edges of shadows are blurred over neighbouring pixels
+    instead of the half-shadows.
     """
     lamps = light.lobes
     moving = light.view.moving
     shadows = Shadows(traced, starts, lamps, tiles)
-    # Rays to middles tell lit points from shadows; rays to rims find half-shadows.
+    # Rays to middles tell lit points from shadows. Rays to rims then mark the pairs of a point and
+    # a lobe in half-shadow in ``seen``, too.
     seen = shadows.middles()
     if moving:
         halves = np.empty(0, np.int64)
     else:
         halves = shadows.edges(seen)
-    # Add up the lobes that are seen whole, and then the shares of those seen in part.
+    # Add up the lobes that are seen whole, and then the shares of those in half-shadow, which the
+    # first of the two leaves out.
     lit = np.empty((shadows.points, 4), np.float32)
     tiles.run(
         lambda a, b: light_points(starts.picture, lamps, (a, b), moving, seen, lit),
@@ -224,12 +230,16 @@ class Shadows:
         """Return the pairs near ``halves`` that are in half-shadow, too, and were not ``asked``
         yet: see ``spread_edges``.
         """
+        # Pairs that need rays come first in ``more``; those that are known to be in half-shadow by
+        # all their neighbours are at its end.
         more = np.empty(8 * len(halves), np.int64)
         count, last = spread_edges(self.picture, self.lamps, halves, turn, seen, asked, more)
         return np.concatenate([more[last:], self._ask(more[:count], seen)])
 
     def _rims(self, pairs: np.ndarray) -> np.ndarray:
-        """Cast rays to rims for ``pairs``; return what each sees, (pairs,) uint8."""
+        """Cast rays to the rims of lobes for ``pairs``; return LOBE_SEEN, LOBE_HIDDEN or
+        LOBE_HALF_SEEN for each, (pairs,) uint8.
+        """
         sees = np.empty(len(pairs), np.uint8)
 
         def _piece(a: int, b: int) -> None:
@@ -239,12 +249,14 @@ class Shadows:
         return sees
 
     def halves(self, pairs: np.ndarray, seen: np.ndarray) -> np.ndarray:
-        """Return the shares of lobes that points see in part, and their variance; (pairs, 2)."""
+        """Return the irradiance of each of the ``pairs`` in half-shadow, as a share of that by the
+        whole lobe at normal incidence, and its variance; (pairs, 2).
+        """
         sides = np.empty(len(pairs), np.uint8)
         places = np.empty(self.points, np.int32)
         find_sides(self.picture, pairs, seen, sides)
-        # The more neighbours are in half-shadow, too, the fewer rays a point needs: they share
-        # theirs.
+        # ``sides`` has a bit for each pair of opposite neighbours in half-shadow. The more there
+        # are, the fewer rays a point needs: they share theirs.
         rays = np.array(PENUMBRA_RAYS)[np.bitwise_count(sides)]
         traced = np.empty((len(pairs), 2))
         for count in np.unique(rays).tolist():
@@ -264,8 +276,8 @@ class Shadows:
         return shares
 
     def _shares(self, pairs: np.ndarray, rays: int) -> np.ndarray:
-        """Return the shares of lobes that points see, by ``rays`` rays of each pair, and their
-        variance.
+        """Return the shares of ``halves`` by ``rays`` rays of each pair alone, and their variance;
+        (pairs, 2).
         """
         shares = np.empty((len(pairs), 2))
 
@@ -280,6 +292,7 @@ class Shadows:
                 shares[a:b],
             )
 
+        # The fewer rays a pair has, the more pairs are in a tile: each takes about as long.
         self.tiles.run(_piece, len(pairs), HALF_SEEN_PAIRS * PENUMBRA_RAYS[0] // rays)
         return shares
 

@@ -156,14 +156,19 @@ class PixelLight:
     def put(
         self, framebuffer: Framebuffer, gbuffer: GBuffer, light: RotatedLight, tiles: Tiles
     ) -> None:
-        """Write the light into a picture of a G-buffer, as final light, and correct the pixels
-        around it. Raises Cancelled.
+        """Write the light into a picture of a G-buffer that shows the light of texels, and correct
+        the pixels around it by the difference of the two.
+
+        Pixels with traced light become final; the others keep their states and errors. Raises
+        Cancelled.
         """
         if not len(self.places):
             return
         pixels = gbuffer.pixels
         traced = gbuffer.pixels[self.places]
-        # Divide all light by the colours of the surface, correct it, and multiply again.
+        # Divide all light by the colours of the surface, correct it, and multiply again: neighbours
+        # share corrections, which must not carry colours along. Variances of luminance are divided
+        # by the squared luminance of the colour, as if the light were grey.
         tints = tints_of(light, gbuffer, tiles)
         some = tints[self.places]
         grey = (some @ LUMINANCE_WEIGHTS) ** 2

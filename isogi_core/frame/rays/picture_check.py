@@ -111,11 +111,15 @@ class PictureCheck:
 
     def advance(self, frame: Frame, uncertainty: np.ndarray, tiles: Tiles, prices: Prices) -> bool:
         """Take one step from a ``frame`` of this picture towards its target; return False if there
-        is no step to take.
+        is no step to take: the frame is final, all means are spent, or finer texels are to be shown
+        in its place (``coarse``).
 
-        ``uncertainty`` (m,) is the uncertain luminance of each surface point, by which controls are
-        drawn; ``prices`` weigh the ways to the target. Raises Cancelled.
+        ``uncertainty`` (m,) is the standard error that is guessed for the luminance of each surface
+        point; controls are drawn by it. ``prices`` weigh the ways to the target. The caller holds
+        the ``lock``. Raises Cancelled.
         """
+        # Record that the check has ended: later frames then say that nothing will improve them,
+        # although their error may be above the target.
         taken = (
             frame.surface > 0 and not frame.final and self._step(frame, uncertainty, tiles, prices)
         )
@@ -293,9 +297,13 @@ class PictureCheck:
         """Return the plan that costs least at these ``prices`` and brings the picture to the error
         that is aimed at.
 
-        Plans use the present texels, or finer ones if no pixel has light of its own yet. Pixels
-        that have such light keep it.
+        A plan takes a number of rungs, with the present texels or with finer ones, and then traces
+        light for the pixels whose errors are still too large. ``climbs`` are the costs of no rung,
+        of one, and so on, in paths of texels. Pixels that have traced light keep it; finer texels
+        are no choice then, as they would begin without it. Raises Cancelled.
         """
+        # Estimate the squared error of each point by the controls, and the part of it that noise
+        # makes; and the variance that a path of the point leaves.
         known = self.known
         noise = frame.pixel_noise**2
         variance = variance_of_halves(uncertainty, known.controls)
@@ -308,13 +316,14 @@ class PictureCheck:
         known_error = (measured.likely * frame.true_mean) ** 2
         errors *= max(known_error / max(float(errors.mean()), 1e-300), 1.0)
         errors, noise = self._by_regions(frame.gbuffer, errors, noise, tiles)
-        # Count the texels and chunks that each rung would bake.
+        # Count the texels and chunks that the picture reads; it reads none if it shows no texels.
         texels = 0
         chunks = 0
         if frame.quality.lacking:
             texels = len(frame.quality.lacking.texels.places)
             chunks = len(frame.quality.lacking.texels.chunks)
-        # Weigh all numbers of rungs, for these texels and for finer ones.
+        # More samples reduce the noise of texels that may still climb, and nothing else. Weigh all
+        # numbers of rungs, for these texels and for finer ones.
         falling = np.minimum(noise_of_climbers(frame) * noise, errors)
         plans = by_rungs(pixels, errors, falling, climbs, chunks)
         if texels and not (known.attempt or self.declined):
@@ -326,10 +335,15 @@ class PictureCheck:
     def _by_regions(
         self, gbuffer: GBuffer, errors: np.ndarray, noise: np.ndarray, tiles: Tiles
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Average squared ``errors`` and variances of ``noise`` (m,) over neighbouring pixels,
-        so that pixels that are chosen form regions: borders of scattered pixels would show.
+        """Return the squared ``errors`` and the variances of ``noise`` (m,), averaged over
+        neighbouring pixels of the same surface.
+
+        Pixels are chosen by these. Averages make the chosen ones form regions. Single errors would
+        scatter them, and each border between traced light and the light of texels may be visible.
         Raises Cancelled.
         """
+        # Average by the passes of the filter of pixels. The second result, the variance of the
+        # mean, is not used.
         around = Surroundings(gbuffer, tiles)
         found = np.column_stack([noise, errors])
         for step, _ in FILTER_PASSES:
@@ -353,8 +367,11 @@ class PictureCheck:
         return 2.0 * self.known.paths * controls_to(measured, likely, self.known.target)
 
     def _rung(self, frame: Frame) -> int:
-        """Return the present rung: the samples that all texels of the ``frame`` have that need
-        more.
+        """Return the present rung, from which texels of the ``frame`` climb: ``enough``, or the
+        fewest samples of any texel if other views have lit all of them further.
+
+        Texels with little noise stay behind on lower rungs, so the fewest samples alone may be too
+        low. Texels without samples, such as those inside matter, do not count.
         """
         if frame.quality.lacking is None:
             return self.known.enough

@@ -218,20 +218,21 @@ def by_finer(
     target: float,
 ) -> list[Plan]:
     """Return the plans that replace the ``texels`` of a picture, in ``chunks`` chunks, by finer
-    ones.
+    ones: a plan for each rung that these may climb to.
 
-    Of the squared ``errors`` (m,) at the present ``rung``, ``noise`` (m,) falls with each doubling
-    of the samples of finer texels, which begin at the first rung; the rest falls once, by CLOSER.
+    ``errors`` (m,) are the squared errors of points at the present ``rung``; ``noise`` (m,) is the
+    part of them that more samples reduce. The other part falls to the share CLOSER at once.
     """
     interpolation = CLOSER * np.maximum(errors - noise, 0.0)
-    paths = FINER_TEXELS_FACTOR * texels
+    finer = FINER_TEXELS_FACTOR * texels
     plans = []
+    # Finer texels begin without light, at the first rung.
     for rungs, level in enumerate([FIRST_LEVEL, *rungs_above(FIRST_LEVEL, target)], start=1):
         # Samples double from the present rung to this level, or halve: the noise follows.
         left = interpolation + QUIETER ** math.log2(level / rung) * np.minimum(noise, errors)
         tasks = FINER_TEXELS_FACTOR * rungs * chunks
         choice = pixels.choose(left)
-        plans.append(Plan(choice, rungs, paths * level, paths * FIRST_LEVEL, tasks, finer=True))
+        plans.append(Plan(choice, rungs, finer * level, finer * FIRST_LEVEL, tasks, finer=True))
     return plans
 
 

@@ -108,6 +108,8 @@ def filter_pixels(
         # The mean square less the square of the mean is the spread of the pixels around.
         spread = means[:, -1] - (mean[:, :3] @ LUMINANCE_WEIGHTS) ** 2
         kept = beyond_noise(spread, noise)
+        # Wiener's filter leaves the share ``kept`` of the noise as an error; the mean brings its
+        # variance. A filtered pixel is never taken to be noisier than before.
         light = mean + kept[:, None] * (light - mean)
         variance = np.minimum(kept * noise + (1.0 - kept) ** 2 * shared * taken, variance)
     return light, variance

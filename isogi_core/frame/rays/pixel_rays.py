@@ -93,8 +93,8 @@ class Paths:
         count: int,
         progress: Callable[[int], object] | None = None,
     ) -> None:
-        """Trace the samples ``first`` … ``first + count`` of each replica, and add their light to
-        ``sums`` (points, replicas, 3) float64.
+        """Trace the ``count`` samples of each replica that begin with number ``first``, and add
+        their light to ``sums`` (points, replicas, 3) float64.
 
         Replicas are the randomisations from number ``stream`` on. ``progress`` is called with the
         number of paths that each piece traced. If the surface shines, as many rays of shine are
@@ -121,7 +121,7 @@ class Paths:
         rules = PathRules(self.weights, self.survival)
         samples = SampleRange(first, count)
 
-        # Trace all replicas of some points together.
+        # Trace all replicas of some points together, and add them to the sums of these points.
         def _piece(a: int, b: int) -> None:
             starts = path_starts(traced, points.part(slice(a, b)), replicas)
             here = new[a:b].reshape(-1, 3)
@@ -130,7 +130,8 @@ class Paths:
             else:
                 added = np.zeros_like(here)
             add_path_light(met, starts, samples, rules, around, added)
-            # Among walls each call sums up its samples before they are added.
+            # Over one surface in the open each sample was added to the sums in turn. In all other
+            # scenes the samples of this call come as one sum; the two differ by rounding alone.
             if added is not here:
                 here += added
             add_glow(here, self.light, traced, starts, rules, samples)

@@ -222,8 +222,8 @@ def cast_rays(
     """Cast rays of shine from each point of a G-buffer: the ``samples`` of each of the
     ``replicas``.
 
-    Replicas are numbers of independent randomisations; each ray is chosen of ``ways`` candidates.
-    Raises Cancelled.
+    Replicas are numbers of independent randomisations. Each ray is chosen of ``ways`` candidates,
+    in proportion to the light that each is expected to bring. Raises Cancelled.
     """
     shown = gbuffer.shown(tiles)
     lobe = lobe_of(light)
@@ -250,8 +250,8 @@ def cast_rays(
 
     count = len(shown.pixels)
     tiles.run(_piece, count, max(min(RAYS_TOGETHER // each, tiles.even(count)), 1))
-    # Keep the ends that need light of their own, with random sequences that follow from pixel,
-    # replica and sample.
+    # Keep the ends on surfaces and walls, whose light is still to be found. A path from there may
+    # be traced later, so each has a random sequence: it follows from pixel, replica and sample.
     seen = np.flatnonzero(ends.met > MET_NOTHING)
     point, rest = np.divmod(seen, each)
     replica, sample = np.divmod(rest, len(samples))

@@ -43,8 +43,8 @@ MAX_RAYS = 1 << 12
 
 STEP_RAYS = 1 << 20
 ENDS_TOGETHER = 1 << 18
-"""Rays of a step, about: at least one of each half from a point, at most as many as there are;
-and rays whose ends are looked up together.
+"""Rays of a step, about, and rays whose ends are looked up together. A step casts at least one ray
+of each half from a point, and at most doubles the rays.
 """
 
 SHINE_NOISE_SHARE = 0.5
@@ -201,9 +201,12 @@ class ViewShine(Refinement[ShineLight]):
         framebuffer: Framebuffer,
         tiles: Tiles,
     ) -> bytes:
-        """Add shine to a picture; return a name of the rays, and of the light at their ends."""
+        """Add shine to a picture of diffuse light; return a name of the rays, and of the light at
+        their ends. Raises Cancelled.
+        """
         shine = self._of(light, gbuffer, tiles)
-        # Rays that were cast later have their light in their sums.
+        # Rays cast after the first ones replace these. Their sums hold final light, so their number
+        # names it. The light at the ends of the first rays still changes: look it up now.
         if shine.count:
             shine.put(None, framebuffer, tiles)
             return shine.version

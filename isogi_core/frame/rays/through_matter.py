@@ -42,14 +42,14 @@ DEEP = 256
 TILE_PLACES = 1 << 13
 PLACES_TOGETHER = 1 << 18
 STEP_PLACES = 1 << 22
-"""Places of a tile; places that are looked up together; and places of a step, about: at least
-one tree of each half from a point, at most as many as there are.
+"""Places of a tile; places that are looked up together; and, about, places of a step. A step takes
+at least one tree of each half from a point, and at most doubles the trees.
 """
 
 MIN_TREES = 8
 MAX_TREES = 1 << 12
-"""Trees of each half that all points have before some points get more than others, as the noise
-of a point is not known from fewer; and at most.
+"""Trees of each half, at least and at most. Up to the least number all points have as many, as the
+noise of a point is not known from fewer; from then on noisy points alone get more.
 """
 
 SURE = 0.25
@@ -171,7 +171,12 @@ class SeenThrough:
         return light, wrong
 
     def states(self, lit: Framebuffer) -> np.ndarray:
-        """Return the least state of all that each tree shows; (n,) uint8."""
+        """Return the state of each tree: the worst one of the walls that it shows (states ascend
+        from provisional to final); (n,) uint8.
+
+        A tree without walls is final, as the environment is exact. ``lit`` has one pixel for each
+        place, or a single unused one if there are no places.
+        """
         state = np.full(len(self.sky), FINAL, np.uint8)
         np.minimum.at(state, self.rows, lit.state[: len(self.rows)])
         return state

@@ -376,9 +376,10 @@ class ViewWalls(Refinement[RoomLight]):
         tiles: Tiles,
     ) -> tuple[int, str]:
         """Write the walls into a picture; return the number of their pixels that are not final, and
-        a name of the paths taken.
+        the part of the picture's version that names the light of the walls.
 
-        Raises Cancelled.
+        Only texels converge. Walls of all other shadings are final, and have an empty name. Raises
+        Cancelled.
         """
         view = light.view
         walls = WallView.of(gbuffer, light)
@@ -402,8 +403,11 @@ class ViewWalls(Refinement[RoomLight]):
     def add(
         self, frame: Frame, light: RotatedLight, target: float, tiles: Tiles, watch: Stopwatch
     ) -> Frame:
-        """Write the walls into a ``frame`` that shows some, and return it with its new state.
-        Raises Cancelled.
+        """Write the walls into the pixels of a ``frame`` that has its surface already; return the
+        frame with the number of wall pixels that are not final as ``quality.waiting``.
+
+        The framebuffer changes in place. The version grows by the names of the walls' light, so
+        that a picture gets another version once its walls have more paths. Raises Cancelled.
         """
         if not len(frame.gbuffer.walls.pixels):
             return frame
@@ -418,8 +422,8 @@ class ViewWalls(Refinement[RoomLight]):
     def put_seen(
         self, views: Iterable[WallView], target: float, framebuffer: Framebuffer, tiles: Tiles
     ) -> str:
-        """Write the walls of several ``views`` into one picture; return a name of the paths
-        taken. Raises Cancelled.
+        """Write the walls of several ``views`` into one picture; return a name of their light, for
+        the picture's version. Raises Cancelled.
         """
         version = ""
         for walls in views:
@@ -454,6 +458,7 @@ class ViewWalls(Refinement[RoomLight]):
                     grown.append(lit.texels)
         finally:
             room.keep(grown)
+        # The texels take more memory than when they were put among the results: count them again.
         self._kept.settle()
         return bool(grown)
 
@@ -464,7 +469,8 @@ class ViewWalls(Refinement[RoomLight]):
 
     def _room(self, walls: WallView) -> RoomLight:
         """Return the light of walls for the isovalue, the albedo and the glow of a view, kept
-        or begun now.
+        or begun now. It depends on nothing else of a view: light does not turn in scenes with
+        walls.
         """
         light = walls.light
         surface = walls.gbuffer.surface

@@ -126,7 +126,8 @@ class WallTexels:
         are interpolated.
         """
         found: WallTexels | None = None
-        # Go from coarse to fine; each fineness fills in what the coarser one left to ask.
+        # Go from coarse to fine: at each fineness, kept texels replace those that are interpolated
+        # from the coarser ones.
         for across, (means, counts) in sorted(kept.items()):
             begun = cls.begun(light, *side, across)
             rows, columns = begun.settled.shape
@@ -153,9 +154,12 @@ class WallTexels:
 
     @property
     def version(self) -> str:
-        """A name of the paths that were taken."""
+        """A name of the texels' light, for the versions of pictures that show it: another one as
+        soon as paths are added.
+        """
         if self.made_of:
             return self.made_of
+        # Texels of the usual density are named by their paths alone, others by both numbers.
         if self.across == FINE_WALL_TEXELS:
             return f"-{self.count:x}"
         return f"-{self.count:x}a{self.across:x}"
@@ -342,17 +346,21 @@ class WallTexels:
         return replace(self, means=means, count=count)
 
     def _starts(self, light: RotatedLight, surface: Surface) -> PathStarts:
-        """Return the starts of the paths of both halves of each asked texel: in its middle."""
+        """Return the starts of the paths of both halves of each asked texel, row by row, with the
+        two halves of a texel next to each other.
+        """
         room = light.spec.prepared.room(light.seen.albedo)
         (rows, columns) = self.settled.shape
         row, column, half = np.nonzero(np.repeat(self.asked[..., None], 2, axis=2))
-        # Start in the middle of each texel, on the side that is seen.
+        # Start in the middle of each texel, on the side of these texels. Edges are lengths in the
+        # world; paths start at points in voxels.
         edges = room.edges[self.wall]
         points = room.corners[self.wall] + np.outer((column + 0.5) / columns, edges[0])
         points += np.outer((row + 0.5) / rows, edges[1])
         points /= surface.field.spacing
         normals = np.tile(self.side * room.normals[self.wall], (len(points), 1))
-        # The random sequence of a half of a texel is named by wall, side, row, column and half.
+        # Wall, side, row, column and half select the random sequence, so that further paths
+        # continue it.
         words = np.column_stack(
             [
                 np.full(len(row), streams.WALLS_STREAM + 2 * self.wall + (self.side < 0)),
@@ -361,6 +369,8 @@ class WallTexels:
                 half,
             ]
         )
+        # The number of the wall tells that the starts are on it: without one they would be moved
+        # off the isosurface.
         return starts_at(points, normals, surface.isovalue, seeds_of(words), self.wall)
 
     @cached_property

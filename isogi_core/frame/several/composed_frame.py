@@ -153,7 +153,8 @@ class SurfacesQuality(Quality):
         """Return the total relative RMSE by the control pixels of all sides; None before each side
         has some.
 
-        The errors of different sides count as independent.
+        The errors of different sides count as independent, but the ends of their intervals do not:
+        the total is at an end if all sides are, so its interval is rather too wide.
         """
         # All sides must be measured: the error of one says nothing about the others.
         found = [part.measured for part in self.parts]

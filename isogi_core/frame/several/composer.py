@@ -30,8 +30,8 @@ from isogi_core.prepared.prepared_scene import PreparedScene
 
 SHOWN = 2
 HELD = 6
-"""Number of isovalues whose views of pinned surfaces are kept, and of those whose light is: two
-levels for each, and the isovalue itself.
+"""Number of isovalues of the sliding surface for which views of pinned surfaces are kept; and of
+isovalues for which light is: for each of these, the two levels around it and the isovalue itself.
 """
 
 
@@ -95,7 +95,9 @@ class Composer:
             return compose(view, peels, parts, watch, until.target, self._scene)
 
     def smooth(self, frame: Frame, tiles: Tiles) -> Frame:
-        """Return a ``frame`` that was drawn with more samples at its edges. Raises Cancelled."""
+        """Return a ``frame`` that was drawn with more samples at its edges: where neighbouring
+        pixels differ as a screen shows them, at the scene's exposure. Raises Cancelled.
+        """
         glow = EyeGlow.of(self._caches.prepared, frame.view.glow)
         exposure = self._scene.default_exposure
         return smooth_surfaces(frame, self._peeler(frame.view, tiles), exposure, tiles, glow)
@@ -129,7 +131,8 @@ class Composer:
             for part in parts_of(frame)
             if part.frame.checkable and (frame.checkable or part.side == WALLS_SIDE)
         ]
-        # The side with the largest known error takes the step, or else the next that has one.
+        # The side with the largest known error takes the step, or else the next that has a step to
+        # take.
         for part in sorted(waiting, key=error_of, reverse=True):
             renderer = self.renderer(part.side, view.isovalue)
             if renderer.refine_frame(part.frame, target, tiles, prices.of_present):
@@ -161,7 +164,11 @@ class Composer:
             return newest(self._sides, key, SHOWN * len(sides_of(self._scene)))
 
     def _caches_of(self, side: Side, shown: float) -> Caches:
-        """Return the caches of a side's light for the isovalue ``shown``, kept or made now."""
+        """Return the caches of a side's light while the sliding surface shows the isovalue
+        ``shown``, kept or made now. The caller holds the lock.
+        """
+        # Light of the sliding surface (number 0) is kept on each texel's isosurface, and serves
+        # every isovalue; that of pinned surfaces depends on where the sliding one is.
         key = side, shown if side.number else None
         if key not in self._held:
             self._held[key] = self._make_caches(side, shown)
@@ -217,8 +224,8 @@ class Composer:
         surfaces = surfaces_of(self._scene, view.isovalue)
         hits, left = self._peeler(view, tiles).whole(view, tiles)
         first = first_of(view, hits, self._caches.prepared.surface(view.isovalue))
-        # Stack the layers of each side that is seen; its surface has the active cells of its own
-        # prepared scene.
+        # Stack the layers of each side that is seen. The surface of a side takes the active cells
+        # of the side's prepared scene.
         sides = {}
         for side in sides_of(self._scene):
             if len(hits.rows_of(side)):

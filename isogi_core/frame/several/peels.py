@@ -168,7 +168,7 @@ class Peeler:
 
     def whole(self, view: View, tiles: Tiles) -> tuple[Hits, np.ndarray]:
         """Cast the rays of all pixels of a ``view``; return their hits, and the share (h, w)
-        float32 of what is behind. Raises Cancelled.
+        float32 of the light behind everything that passes. Raises Cancelled.
         """
         count = view.width * view.height
         found = dict[int, Hits]()
@@ -223,8 +223,12 @@ def first_of(view: View, hits: Hits, surface: Surface) -> GBuffer:
 
 
 def walls_of(hits: Hits, first: GBuffer) -> tuple[GBuffer, SideLayers | None]:
-    """Return the picture of the walls alone among the ``hits``, and their weights in the
-    picture of the G-buffer ``first``; None in place of these if there are no walls.
+    """Return the walls among the ``hits`` twice: as a picture that shows walls alone, to light
+    them, and as a side of one layer, to add them up with the surfaces by their weights; None in
+    place of the latter if there are no walls.
+
+    One layer is enough, as a wall ends each ray that meets it. Both are for the picture of the
+    G-buffer ``first``.
     """
     rows = hits.rows_of(WALLS_SIDE)
     seen = hits.others(rows)

@@ -91,6 +91,7 @@ def add_light(
     It is borrowed from pixels around in the same layer of the side's tall ``picture``, and counts
     by the weight of the hit.
     """
+    # All walls are one side, and have one picture. The face of a window has a negative number.
     some = np.flatnonzero(np.minimum(hits.sides, FIRST_WALL_SIDE) == side)
     rays = hits.pixels[some]
     down = np.array([0.0, height], np.float32)

@@ -62,7 +62,8 @@ def define(
 
     ``typer(*arguments)`` returns the signature for these types of arguments, or None if there is
     none. The builder is called as ``build(context, builder, signature, *values)`` and returns the
-    result's value. ``patterns`` are the argument types that it is registered for.
+    result's value. ``patterns`` are the argument types that it is registered for. The decorator
+    returns the builder as it is, so that it may serve several functions.
     """
 
     def _generic(self: Any, args: Any, kws: Any) -> Any:
@@ -138,7 +139,8 @@ def elementwise(
 
 
 def stub(name: str, does: str, module: str) -> Any:
-    """Make a function of ``module`` that exists in compiled code only; ``does`` is its docstring.
+    """Make a function of ``module`` that exists in compiled code only, as a key by which ``define``
+    registers its code; ``does`` is its docstring.
 
     Python's version raises NotImplementedError.
     """
@@ -161,8 +163,10 @@ def splat(builder: ir.IRBuilder, value: ir.Value, count: int) -> ir.Value:
 
 
 def spread(builder: ir.IRBuilder, value: ir.Value, kind: Vector) -> ir.Value:
-    """Return a number in every lane of a vector of type ``kind``, truncated to its element
-    type; vectors are returned as they are.
+    """Return a number in every lane of a vector of type ``kind``; vectors are returned as they are.
+
+    Numba hands single numbers over in the wide type ``kind.scalar``, so they are narrowed to the
+    element type first.
     """
     if isinstance(value.type, ir.VectorType):
         return value

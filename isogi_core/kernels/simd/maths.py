@@ -155,7 +155,9 @@ def divide(a: Any, b: Any) -> Any:
 
 
 def _type_of_quotient(a: Any, b: Any) -> Any:
-    """Return the signature of ``divide``."""
+    """Return the signature of ``divide``: two vectors of one type, or a vector and a number, give a
+    vector; two numbers give float64.
+    """
     pair = (a, b)
     kind = next((each for each in pair if isinstance(each, Vector)), types.float64)
     return signature(kind, *[each if each == kind else types.float64 for each in pair])
@@ -304,7 +306,9 @@ def _type_of_fraction(word: Any) -> Any:
 
 @define(fraction, _type_of_fraction)
 def _fraction(context: Any, builder: ir.IRBuilder, sig: Any, word: ir.Value) -> ir.Value:
-    """Emit the conversion of unsigned words to float64, and the product with 2⁻³²."""
+    """Emit the conversion of unsigned words to float64, and the product with 2⁻³². Both are exact,
+    so the product needs no flags against fusing.
+    """
     kind = DOUBLE_TYPE
     unit = DOUBLE_TYPE(TO_UNIT)
     if isinstance(sig.return_type, Vector):

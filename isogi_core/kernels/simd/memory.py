@@ -199,6 +199,8 @@ def _prefetch(
     context: Any, builder: ir.IRBuilder, sig: Any, base: ir.Value, place: ir.Value
 ) -> ir.Value:
     """Emit a prefetch for reading into all levels of the cache."""
+    # LLVM's arguments: 0 to read and not to write, 3 to keep the line in all levels, 1 for data and
+    # not for instructions.
     line = builder.bitcast(builder.gep(base, [place]), cgutils.voidptr_t)
     call(builder, "llvm.prefetch.p0", ir.VoidType(), line, WORD_TYPE(0), WORD_TYPE(3), WORD_TYPE(1))
     return context.get_dummy_value()
@@ -263,9 +265,9 @@ def _type_of_pair(array: Any, index: Any) -> Any:
 def _gather_pair(
     context: Any, builder: ir.IRBuilder, sig: Any, base: ir.Value, index: ir.Value
 ) -> ir.Value:
-    # Load both elements of a pair as one 64-bit value, a register at a time, then part even from
-    # odd.
-    """Emit the loads of two consecutive elements per lane."""
+    """Emit the loads of two consecutive elements per lane, for processors with SIMD."""
+    # Load both elements of a pair as one 64-bit value, a register at a time: half as many loads.
+    # Then part even elements from odd ones.
     width = REGISTER_LANES // 2
     pairs = [
         _pairs(builder, base, index, first, width) for first in range(0, index.type.count, width)
@@ -319,6 +321,9 @@ def _take(
 ) -> ir.Value:
     """Emit an expanding load: set lanes get consecutive elements, in order;
     the other lanes are arbitrary.
+
+    Whole registers are loaded, so the array must have an element for every lane from ``first`` on,
+    however few are taken.
     """
     kind = sig.return_type
     parts = []

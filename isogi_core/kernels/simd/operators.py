@@ -19,8 +19,8 @@ REAL_TYPES = {types.float32, types.float64}
 INTEGER_TYPES = {types.int32, types.uint32}
 BOOLEAN_TYPES = {types.boolean}
 
-# An operation without a flag is given those of its kernel: products of float64 would be fused with
-# sums.
+# An operation without any flag is given those of its kernel, so products of float64 would be fused
+# with sums. To prevent that, each has a flag that is harmless: signs of zeros may be ignored.
 FAST_FLAGS = {types.float32: ("contract", "nsz"), types.float64: ("nsz",)}
 
 

@@ -102,7 +102,7 @@ def _overload_cube(voxels: Any, k: Any, j: Any, i: Any) -> Any:
 
 def four(voxels: Any, k: int, j: int, i: int) -> Any:
     """Return voxels i - 1 … i + 2 of row (k, j) as a vector of four float64; beyond the ends of
-    the row, the end's value.
+    the row, the end's value. Voxel i is in the row; voxels are float32.
     """
     return voxels[k, j, np.clip(np.arange(i - 1, i + 3), 0, voxels.shape[2] - 1)].astype(np.float64)
 
@@ -141,7 +141,9 @@ def _four_apart(typing: Any, a: Any, b: Any, c: Any, d: Any) -> Any:
 
 @numba.njit
 def _four_at_border(voxels: Any, k: Any, j: Any, i: Any) -> Any:
-    """Return ``four`` near the ends of a row, beyond which the end's voxel is repeated."""
+    """Return ``four`` near the ends of a row, beyond which the end's voxel is repeated: one load of
+    all four would read other rows, or memory outside the volume.
+    """
     last = voxels.shape[2] - 1
     a = voxels[k, j, max(i - 1, 0)]
     d = voxels[k, j, min(i + 2, last)]

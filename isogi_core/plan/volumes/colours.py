@@ -10,14 +10,14 @@ one, and no third label appears between them.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from isogi_core.errors import SceneError, VolumeError
-from isogi_core.files.grid import Grid, on_right_angles
+from isogi_core.files.grid import Affine, Grid, on_right_angles
 from isogi_core.files.mappings import require_memory
 from isogi_core.files.scene_file import DEFAULT_DEMO, Settings, are_numbers
 from isogi_core.files.vector import triple
@@ -297,6 +297,11 @@ def volume_grids(settings: Settings, volume: Volume) -> tuple[Grid, Grid]:
         raise SceneError(
             "spacing moves the volume away from its colours: leave it out, or add axes = 'raw'."
         )
+    if volume.cell is not None:
+        # a field that repeats lies as its cells were set, side by side and with a margin
+        orientation = volume.orientation
+        place = Affine.of(orientation.affine(volume.spacing), orientation.letters)
+        return grid, replace(Grid.of(volume.voxels, volume.spacing), affine=place)
     return grid, on_right_angles(grid, spacing)
 
 

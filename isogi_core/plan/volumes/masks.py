@@ -24,7 +24,7 @@ from isogi_core.files.scene_file import Settings
 from isogi_core.files.volume_copies import Draft, get_copy
 from isogi_core.model.value_survey import check, find_marks, survey, usable, usable_type
 from isogi_core.model.view import Plane, read_window
-from isogi_core.model.volume import UNMEASURED_FIELDS, Volume
+from isogi_core.model.volume import CUT_AWAY_VALUE, UNMEASURED_FIELDS, Volume
 
 MAX_VOLUME_TABLES = 8
 """Most tables [[volumes]] of a scene."""
@@ -252,15 +252,6 @@ def _to_world(grid: Grid) -> np.ndarray:
     return np.vstack([rows, [0.0, 0.0, 0.0, 1.0]])
 
 
-CUT_AWAY_VALUE = -8.0
-"""Value of voxels that are taken away, in normalised units; the others are from 0 to 1, except
-outliers.
-
-A face of the isovalue c lies (f - c) / (f - CUT_AWAY_VALUE) of a voxel beyond the last voxel left,
-of value f. A value farther from 0 would make faces flatter, but also edges next to them rounder, as
-normals are smoothed over four voxels.
-"""
-
 AXIS_TOLERANCE = 1e-6
 """Largest deviation of a plane's normal from an axis of the voxels."""
 
@@ -287,6 +278,19 @@ def cut_away(volume: Volume, text: str) -> Volume:
     digest = cut_digest(volume, text)
     if digest == volume.digest:
         return volume
+    return kept_of(volume, left, digest)
+
+
+def cut_cell(volume: Volume, left: Ranges) -> Volume:
+    """Show the voxels ``left`` of a ``volume`` alone, as if planes cut the rest away."""
+    parts = f"{volume.digest} cell {left} {CUT_AWAY_VALUE}"
+    return kept_of(volume, left, hashlib.blake2b(parts.encode(), digest_size=16).hexdigest())
+
+
+def kept_of(volume: Volume, left: Ranges, digest: str) -> Volume:
+    """Return a ``volume`` with CUT_AWAY_VALUE in place of the voxels that are not ``left``; it has
+    the new ``digest``.
+    """
     # Histogram and core stay those of the whole volume, so that its range of isovalues does.
     known = replace(volume.counted(), digest=digest)
     if volume.voxels.nbytes <= UNMAPPED_SHARE * budget():

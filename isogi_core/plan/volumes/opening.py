@@ -11,8 +11,10 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import SceneError, VolumeError, readable
+from isogi_core.files.cells import MOST_REPEATED
+from isogi_core.files.coordinates import SPACING_KEY
 from isogi_core.files.formats.opening import open_file, split_part
-from isogi_core.files.grid import Grid, Region, on_right_angles
+from isogi_core.files.grid import APERIODIC, UNPLACED, Grid, Region
 from isogi_core.files.mappings import UNMAPPED_SHARE, budget
 from isogi_core.files.packed_files import in_short, reason_of
 from isogi_core.files.packing import without_fill
@@ -30,10 +32,11 @@ from isogi_core.plan.volumes.labels import (
     solid_of_labels,
 )
 from isogi_core.plan.volumes.masks import cut_out, place, read_tables
+from isogi_core.plan.volumes.periods import closed, read_cells, repeated_beside, trimmed, upright
 from isogi_core.plan.volumes.pieces import MOST_PIECE, without_small_pieces
-from isogi_core.plan.volumes.smoothing import smoothed
+from isogi_core.plan.volumes.smoothing import gaussian_reach, smoothed
 
-COPY_FORMAT = 2
+COPY_FORMAT = 3
 """Version of the copies: increased if the same file gives other voxels."""
 
 NESTED = ("level", "channel", "time", "series")
@@ -68,7 +71,8 @@ def open_volume(
     smooth = settings.number("smooth", 0.0, 0.0, MOST_SMOOTH)
     pieces = settings.count("pieces", MOST_PIECE) or 0
     if name.startswith("demo:"):
-        altered = bool(spacing or missing or chosen or raw or tables or pieces)
+        repeating = settings.flags("periodic", 3) or settings.counts("repeat", 3, MOST_REPEATED)
+        altered = bool(spacing or missing or chosen or raw or tables or pieces or repeating)
         altered = altered or labels is not None or solid != "above"
         return open_demo(name, smooth, altered, chosen)
     grid, stem = open_own(settings)
@@ -79,9 +83,14 @@ def open_volume(
         grid = solid_of_labels(grid, labels or (), settings)
     elif "missing" not in settings.source.document:
         grid = without_fill(grid)
-    # Bring the grid to right angles, then smooth, drop small pieces and mask: each wraps the
-    # grid, and voxels are read once, at the end.
-    straight = on_right_angles(grid, spacing)
+    # Bring the grid to right angles, its cells side by side with a margin if the field repeats;
+    # then smooth, drop small pieces and mask: each wraps the grid, and voxels are read once, at the
+    # end.
+    cells = read_cells(settings, grid)
+    if segmented:
+        cells = replace(cells, periodic=APERIODIC)
+    reach = gaussian_reach(smooth) if smooth else 0
+    straight, shown = upright(grid, cells, spacing, reach)
     if tables and spacing and grid.affine is not None:
         raise SceneError(
             "spacing moves the volume away from its masks: leave it out, or add axes = 'raw'."
@@ -92,6 +101,8 @@ def open_volume(
         straight = smoothed(straight, smooth, missing)
         # Missing values are holes by now.
         missing = ()
+    if shown is not None:
+        straight, shown = trimmed(straight, shown, reach)
     if pieces:
         straight = without_small_pieces(straight, pieces, solid, missing)
     masks = [place(table, open_beside(settings, table.file), grid, straight) for table in tables]
@@ -99,10 +110,19 @@ def open_volume(
         straight = cut_out(straight, masks, solid, missing)
     # Read the voxels, and note if values look like labels that nobody declared.
     volume = volume_of(straight, solid, stem, missing, progress)
+    if shown is not None:
+        volume = closed(volume, shown)
     count = 0 if segmented else look_like_labels(volume)
     if count:
         straight = replace(straight, notes=(*straight.notes, PROPOSED.format(count=count)))
-    return replace(volume, orientation=Orientation.of(straight), moment=moment, segmented=segmented)
+    return replace(
+        volume,
+        orientation=Orientation.of(straight),
+        moment=moment,
+        segmented=segmented,
+        level=grid.level,
+        deviations=grid.deviations,
+    )
 
 
 def refuse_for_labels(stem: str, smooth: float, pieces: int) -> None:
@@ -128,7 +148,11 @@ def open_demo(name: str, smooth: float, altered: bool, chosen: Iterable[str]) ->
         )
     if altered:
         made = "is made with spacing 1, solid above and nothing missing"
-        keys = ("spacing", "solid", "missing", "axes", "volumes", "labels", "pieces", *chosen)
+        keys = (
+            *("spacing", "solid", "missing", "axes", "volumes", "labels", "pieces"),
+            *("periodic", "repeat"),
+            *chosen,
+        )
         named = ", ".join(f"'{each}'" for each in keys)
         raise SceneError(f"{name} {made}: leave out {named}.")
     if smooth:
@@ -149,6 +173,16 @@ FIRST_STEP_NOTE = (
 )
 
 
+CUBES_NOTE = f"Voxels are taken as cubes: {SPACING_KEY}."
+"""The note on volumes whose spacing is assumed."""
+
+
+def says_spacing(grid: Grid, settings: Settings) -> bool:
+    """Tell whether the scene, the file or a note on it says how far voxels lie apart."""
+    noted = any(SPACING_KEY in note for note in grid.notes)
+    return noted or "spacing" in settings.source.document or UNPLACED not in grid.read_as
+
+
 def is_raw(settings: Settings) -> bool:
     """Return True if volumes of a scene lie in the world as their voxels do, whatever their
     files say. Raises SceneError.
@@ -166,6 +200,8 @@ def open_own(settings: Settings) -> tuple[Grid, str]:
     grid, stem = _open_placed(settings.source.base, settings.text("volume", DEFAULT_DEMO), chosen)
     steps = grid.moment[1]
     notes = (FIRST_STEP_NOTE.format(steps=steps, last=steps - 1),) if grid.unchosen else ()
+    if grid.affine is None and set(grid.spacing) == {1.0} and not says_spacing(grid, settings):
+        notes = (*notes, CUBES_NOTE)
     grid = replace(grid, notes=(*grid.notes, *notes))
     return grid.raw(chosen.get("region")) if is_raw(settings) else grid, stem
 
@@ -183,8 +219,8 @@ def open_beside(settings: Settings, name: str) -> Grid:
             f"'{name}' has {grid.moment[1]} time steps: choose one, such as '{name}#time=0'."
         )
     if is_raw(settings):
-        return grid.raw(None)
-    return grid
+        return repeated_beside(settings, grid.raw(None), 0).raw(None)
+    return repeated_beside(settings, grid, 1)
 
 
 def _open_placed(base: Path, name: str, chosen: dict[str, Any]) -> tuple[Grid, str]:

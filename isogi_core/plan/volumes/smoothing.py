@@ -44,11 +44,16 @@ def smoothed(grid: Grid, sigma: float, missing: Sequence[float] = ()) -> Grid:
     )
 
 
+def gaussian_reach(sigma: float) -> int:
+    """Voxels to which a Gaussian of standard deviation ``sigma`` reaches."""
+    return int(np.ceil(GAUSSIAN_REACH * sigma))
+
+
 def gaussian_weights(sigma: float, dtype: np.dtype[Any]) -> np.ndarray:
     """Return the weights (2 r + 1,) of a Gaussian at whole voxels up to r, GAUSSIAN_REACH
     deviations; their sum is 1.
     """
-    reach = int(np.ceil(GAUSSIAN_REACH * sigma))
+    reach = gaussian_reach(sigma)
     weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
     return np.asarray(weights / weights.sum(), dtype)
 

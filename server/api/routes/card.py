@@ -288,8 +288,10 @@ async def packed(
     pack: Pack,
 ) -> Response:
     """Answer with the blocks of the named chunks. Caches may keep them for ever if the address
-    names their present versions, and the blocks depend on nothing else.
+    names their present versions, and the blocks depend on nothing else: filtered blocks depend on
+    the chunks around them.
     """
+    # Until then the kernels that read light are being compiled.
     await service.startup.lit.wait()
 
     def work() -> Response:

@@ -180,7 +180,9 @@ def coverage(shown: Shown) -> dict[str, Any]:
 
 
 async def progress(service: Service, lacks: Unfinished, viewer: Viewer) -> dict[str, Any]:
-    """Return the number of chunks that are still to be baked, and the time left."""
+    """Return the number of chunks that are still to be baked, and the time left. Asking for the
+    number renews the ``viewer``'s requests, which expire otherwise.
+    """
     waiting = await asyncio.to_thread(service.engine.waiting, lacks, viewer)
     left = await asyncio.to_thread(service.engine.time_without, lacks)
     known = None if left is None else TimeLeftSchema(**asdict(left)).model_dump()
@@ -189,7 +191,8 @@ async def progress(service: Service, lacks: Unfinished, viewer: Viewer) -> dict[
 
 def reason(service: Service, frame: Frame, viewer: Viewer) -> str:
     """Return the reason why a frame is not final though no more light is coming."""
-    # From the most specific reason to the general one.
+    # From the most specific reason to the general one. A frame in the shading PREVIEW, which a view
+    # with other shading asked for, stands in for light that does not fit the memory.
     if frame.quality.given_up:
         error = f"The total error is {frame.total.likely:.3g} after all paths that pixels may take"
         return f"{error}: ask for a larger max_error."

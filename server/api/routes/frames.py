@@ -103,10 +103,14 @@ async def read_frame(
     later = preferences.respond_async and bearer.may("bake")
 
     def answer(shown: Shown) -> Response | None:
+        """Return the response with a picture; None if a job is to bake it. Runs on a thread of
+        the queue, as it may encode the picture.
+        """
         frame = shown.frame
         watch = shown.watch
         if later and not frame.final:
             return None
+        # The tag follows from the light alone: no picture is encoded that the client has already.
         tag = entity_tag(frame, form, exposure, params)
         headers = frame_headers(frame, shown.time_left, tag, params.version) | applied
         if matches(request.headers.get("if-none-match"), tag):

@@ -210,7 +210,8 @@ def shortcomings(request: Request, service: Service) -> tuple[list[str], list[st
     if request.app.state.closing.begun:
         stopping = ["isogi is stopping."]
         return stopping, stopping
-    # Probe the store first: the probe finds out that a store is only read, which is no reason.
+    # Probe the store first: the probe finds out if the store is only read, and the reasons of the
+    # start leave out all that follows from this.
     of_store = request.app.state.probe.reasons()
     return service.startup.starting(), service.startup.reasons() or of_store
 

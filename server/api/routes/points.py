@@ -82,7 +82,7 @@ async def read_point(
     response.headers.update(applied | {"Cache-Control": "no-cache", "Vary": "Prefer"})
 
     def finish(shown: Shown) -> PointSchema:
-        # A picture of one pixel has that pixel alone.
+        # A view with ``columns`` is a part of the picture: here that one pixel, at (0, 0).
         place = pixel if shown.frame.view.columns is None else (0, 0)
         return point_schema(lit, shown.frame, place, exposure)
 

@@ -129,6 +129,7 @@ def painted(request: Request, scene: Scene, params: SkyParams) -> Response:
         PANORAMA_FORMAT,
         scene.lighting.environment.digest,
         scene.lighting.lamps.digest,
+        None if turn is None else turn.tolist(),
         params.width,
         params.f,
     )

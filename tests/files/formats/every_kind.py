@@ -27,7 +27,7 @@ def written(folder: Path) -> list[Path]:
     folder.mkdir(exist_ok=True)
     return [
         path
-        for write in (numpy_files, nifti, dicom, tiff, mrc, hdf5, netcdf, vti)
+        for write in (numpy_files, nifti, dicom, tiff, mrc, hdf5, netcdf, vti, chemistry)
         for path in write(folder)
     ]
 
@@ -111,6 +111,31 @@ def write_classic(
             made.units = unit
         for name, field in fields.items():
             file.createVariable(name, field.dtype, tuple("tzyx"[-field.ndim :]))[:] = field
+
+
+def chemistry(folder: Path) -> Iterator[Path]:
+    """Text of four kinds, one of them packed."""
+    nz, ny, nx = F.shape
+    values = F.astype(float)
+    (cube, crystal, dx, xsf) = (folder / name for name in ("f.cube", "ELFCAR.gz", "f.dx", "f.xsf"))
+    head = f"made\nfor a test\n 1 0 0 0\n {nx} 1 0 0\n {ny} 0 1.25 0\n {nz} 0 0 1.5\n 6 6 0 0 0\n"
+    cube.write_text(head + numbers(values.T))
+    cell = f"{nx} 0 0\n0 {1.25 * ny} 0\n0 0 {1.5 * nz}\n"
+    head = f"made\n1.0\n{cell} C\n 1\nDirect\n 0 0 0\n\n {nx} {ny} {nz}\n"
+    crystal.write_bytes(gzip.compress((head + numbers(values)).encode(), mtime=0))
+    head = f"object 1 class gridpositions counts {nx} {ny} {nz}\norigin 0 0 0\n"
+    head += "delta 1 0 0\ndelta 0 1.25 0\ndelta 0 0 1.5\n"
+    head += f"object 3 class array type float rank 0 items {F.size} data follows\n"
+    dx.write_text(head + numbers(values.T))
+    head = "ATOMS\n 6 0 0 0\nBEGIN_BLOCK_DATAGRID_3D\n made\n DATAGRID_3D_f\n"
+    xsf.write_text(f"{head} {nx} {ny} {nz}\n 0 0 0\n{cell}{numbers(values)} END_DATAGRID_3D\n")
+    yield from (cube, crystal, dx, xsf)
+
+
+def numbers(field: np.ndarray) -> str:
+    """Numbers of an array in its own order, six a line."""
+    flat = [f" {value:.5E}" for value in field.ravel()]
+    return "".join("".join(flat[n : n + 6]) + "\n" for n in range(0, len(flat), 6))
 
 
 def metaimage(folder: Path) -> Iterator[Path]:

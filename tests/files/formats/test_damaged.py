@@ -82,7 +82,7 @@ WRONG = [
     ("a.tif", b"%PDF-1.4", "a PDF document"),
     ("a.hdr", b"#?RADIANCE\n", "a light probe"),
     ("a.stl", b"\x00" * 84, "a mesh"),
-    ("a.bin", b"solid cube\n", "a mesh"),
+    ("a.bin", b"solid cube\n facet normal 0 0 1\n", "a mesh"),
     ("a.raw", b"\x01\x02\x03", "bare voxels"),
     ("a.nii", b"<!DOCTYPE html>", "a web page"),
     ("a.nrrd", b"version https://git-lfs.github.com/spec/v1\n", "a pointer of Git LFS"),

@@ -1,5 +1,6 @@
 """DICOM as scanners leave it: series shuffled, tilted or of packed bits, and segmentations."""
 
+import gzip
 import re
 from pathlib import Path
 from typing import Any
@@ -189,7 +190,8 @@ def files_of_pydicom() -> Path:
 @pytest.mark.filterwarnings("ignore")
 def test_all_files_of_pydicom_are_volumes_or_refused() -> None:
     told = (
-        "is one slice|holds no DICOM image|cannot be read as DICOM|is no volume that is known here"
+        "is one slice|holds no DICOM image|list of a DICOM disk|cannot be read as DICOM"
+        "|that is known here"
     )
     read = {}
     for path in (
@@ -460,3 +462,87 @@ def test_unknown_segments_and_uneven_layers_are_told(tmp_path: Path) -> None:
     made.save_as(apart)
     with pytest.raises(VolumeError, match="unevenly spaced: save it in even ones"):
         open_file(apart, {})
+
+
+@pytest.mark.parametrize("kind", ["f4", "f8"])
+def test_pixels_may_be_floats(tmp_path: Path, kind: str) -> None:
+    """Their tags come before that of whole numbers, where reading of headers stops."""
+    field = (F / 7.0).astype(kind)
+    made = dataset(F[0], LPS, 0, NumberOfFrames=12)
+    for name in ("PixelData", "BitsStored", "HighBit", "PixelRepresentation"):
+        delattr(made, name)
+    made.BitsAllocated = 8 * field.itemsize
+    name = "FloatPixelData" if kind == "f4" else "DoubleFloatPixelData"
+    setattr(made, name, field.tobytes())
+    save(tmp_path, "f.dcm", made)
+    grid = open_file(tmp_path / "f.dcm", {})
+    assert grid.dtype == np.dtype(kind)
+    np.testing.assert_array_equal(grid.whole(), field)
+
+
+def mosaic(array: np.ndarray, lps: np.ndarray, count: Any = None) -> Any:
+    """An image whose tiles are the layers of a volume, as Siemens writes them."""
+    depth, rows, columns = array.shape
+    across = int(np.ceil(np.sqrt(depth)))
+    tiles = np.zeros((across, rows, across, columns), np.int16)
+    for n, layer in enumerate(array):
+        tiles[n // across, :, n % across] = layer
+    pixels = tiles.reshape(across * rows, across * columns)
+    # The position is that of a slice as large as the mosaic, with the same centre.
+    off = (across - 1) / 2.0 * np.array([columns, rows, 0.0])
+    place = lps.copy()
+    place[:3, 3] = lps[:3, 3] - lps[:3, :3] @ off
+    made = dataset(pixels, place, 0, ImageType=["ORIGINAL", "PRIMARY", "M", "MOSAIC"])
+    made.SpacingBetweenSlices = float(np.linalg.norm(lps[:3, 2]))
+    if count is not None:
+        block = made.private_block(0x19, "SIEMENS MR HEADER", create=True)
+        block.add_new(0x0A, "US", count)
+    return made
+
+
+def test_mosaics_are_unfolded(tmp_path: Path) -> None:
+    save(tmp_path, "f.dcm", mosaic(F, LPS, len(F)))
+    grid = open_file(tmp_path / "f.dcm", {})
+    assert grid.affine is not None and "a mosaic of 12 slices" in grid.notes[-1]
+    np.testing.assert_array_equal(grid.whole(), F)
+    np.testing.assert_allclose(grid.affine.array, affine()[:3], atol=1e-6)
+    save(tmp_path, "f.dcm", mosaic(F, LPS))
+    with pytest.raises(VolumeError, match=r"mosaic that does not say .* by dcm2niix"):
+        open_file(tmp_path / "f.dcm", {})
+
+
+def test_a_mosaic_lies_as_nibabel_says(tmp_path: Path) -> None:
+    nib = pytest.importorskip("nibabel")
+    wrappers = pytest.importorskip("nibabel.nicom.dicomwrappers")
+    pydicom = pytest.importorskip("pydicom")
+    packed = Path(nib.__file__).parent / "nicom/tests/data/siemens_dwi_1000.dcm.gz"
+    if not packed.is_file():
+        pytest.skip("nibabel came without its files of tests")
+    path = tmp_path / "f.dcm"
+    path.write_bytes(gzip.decompress(packed.read_bytes()))
+    grid = open_file(path, {})
+    known = wrappers.wrapper_from_data(pydicom.dcmread(path))
+    np.testing.assert_array_equal(grid.whole(), np.asarray(known.get_data()).transpose(2, 0, 1))
+    assert grid.affine is not None
+    lps = known.affine[:3][:, [1, 0, 2, 3]]
+    np.testing.assert_allclose(grid.affine.array, np.diag([-1, -1, 1]) @ lps, atol=1e-9)
+
+
+def test_one_slice_off_its_place_adds_no_layer(tmp_path: Path) -> None:
+    for number, layer in enumerate(F):
+        shift = 0.2 * (number == 7)
+        place = [f"{x:.9g}" for x in LPS[:3, 3] + (number + shift) * LPS[:3, 2]]
+        made = dataset(layer, LPS, number, ImagePositionPatient=place)
+        save(tmp_path / "a", f"{number}.dcm", made)
+    grid = open_file(tmp_path / "a", {})
+    assert grid.shape == F.shape and "off their even places" in grid.notes[0]
+    others = [n for n in range(12) if n != 7]
+    np.testing.assert_allclose(grid.whole()[others], F[others], atol=1e-3)
+    np.testing.assert_allclose(grid.whole()[7], (F[7] + 0.2 * F[6]) / 1.2, atol=0.1)
+
+
+def test_the_list_of_a_disk_says_what_to_give(tmp_path: Path) -> None:
+    listed = files_of_pydicom() / "dicomdirtests" / "DICOMDIR"
+    if listed.is_file():
+        with pytest.raises(VolumeError, match="list of a DICOM disk: give the folder"):
+            open_file(listed, {})

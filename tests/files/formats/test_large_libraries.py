@@ -114,3 +114,51 @@ def test_spacing_that_cannot_be_is_refused(tmp_path: Path, steps: str) -> None:
     path = metaimage(tmp_path / "f.mha", F, ElementSpacing=steps)
     with pytest.raises(VolumeError, match=r"spacing|cannot be read|no direction"):
         load_scene(path)
+
+
+def rectilinear(path: Path, z: np.ndarray) -> Path:
+    """A rectilinear grid of VTK, with coordinates along z."""
+    pytest.importorskip("vtk")
+    convert = import_module("vtkmodules.util.numpy_support").numpy_to_vtk
+    made = import_module("vtkmodules.vtkCommonDataModel").vtkRectilinearGrid()
+    nz, ny, nx = F.shape
+    made.SetDimensions(nx, ny, nz)
+    made.SetXCoordinates(convert(5.0 + np.arange(nx), deep=1))
+    made.SetYCoordinates(convert(2.0 * np.arange(ny), deep=1))
+    made.SetZCoordinates(convert(z, deep=1))
+    values = convert(F.ravel(), deep=1)
+    values.SetName("value")
+    made.GetPointData().AddArray(values)
+    writer = import_module("vtkmodules.vtkIOXML").vtkXMLRectilinearGridWriter()
+    writer.SetFileName(str(path))
+    writer.SetInputData(made)
+    writer.Write()
+    return path
+
+
+def test_rectilinear_grids_lie_by_their_coordinates(tmp_path: Path) -> None:
+    grid = open_file(rectilinear(tmp_path / "f.vtr", 0.5 * np.arange(len(F))), {})
+    np.testing.assert_array_equal(grid.whole(), F)
+    assert tuple(grid.spacing) == (1.0, 2.0, 0.5)
+    assert grid.affine is not None and grid.affine.origin == (5.0, 0.0, 0.0)
+    uneven = open_file(rectilinear(tmp_path / "f.vtr", 1.5 ** np.arange(len(F))), {})
+    assert tuple(uneven.spacing) == (1.0, 1.0, 1.0) and "are uneven" in uneven.notes[0]
+
+
+def test_pieces_of_an_image_are_one(tmp_path: Path) -> None:
+    path = vti(tmp_path / "f.vti", F)
+    text = path.read_bytes()
+    head = text[: text.index(b"<ImageData")]
+    extent = b"0 %d 0 %d 0 %d" % tuple(n - 1 for n in F.shape[::-1])
+    listed = (
+        head.replace(b'type="ImageData"', b'type="PImageData"')
+        + b'<PImageData WholeExtent="%s" GhostLevel="0" Origin="0 0 0" Spacing="1 1.25 1.5">'
+        b'<PPointData><PDataArray type="Int16" Name="value"/></PPointData>'
+        b'<Piece Extent="%s" Source="f.vti"/></PImageData></VTKFile>\n' % (extent, extent)
+    )
+    (tmp_path / "f.pvti").write_bytes(listed)
+    grid = open_file(tmp_path / "f.pvti", {})
+    np.testing.assert_array_equal(grid.whole(), open_file(path, {}).whole())
+    path.unlink()
+    with pytest.raises(VolumeError, match=r"'f.vti' is not there: put it there"):
+        open_file(tmp_path / "f.pvti", {})

@@ -48,7 +48,7 @@ def test_levels_that_are_uneven_are_cubes(tmp_path: Path) -> None:
     )
     grid = open_file(tmp_path / "f.nc", {})
     assert tuple(grid.spacing) == (1.0, 1.0, 1.0)
-    assert "The coordinates of its axes are uneven: its voxels are taken as cubes." in grid.notes
+    assert "taken as cubes, as the coordinates of its axes are uneven: #spacing=" in grid.notes[0]
 
 
 @pytest.mark.parametrize("step", [0, 2])
@@ -95,6 +95,21 @@ def test_one_of_several_fields_is_to_be_chosen(tmp_path: Path) -> None:
         open_file(tmp_path / "f.nc", {})
     with pytest.raises(VolumeError, match="has no volume 'u'"):
         open_file(tmp_path / "f.nc", {"part": "u"})
+
+
+def test_the_only_field_in_space_needs_no_choice(tmp_path: Path) -> None:
+    with pytest.importorskip("scipy.io").netcdf_file(tmp_path / "f.nc", "w") as file:
+        for name, length in zip(("time", "lev", "lat", "lon"), (2, *F.shape), strict=True):
+            file.createDimension(name, length)
+        for name, dimensions in (
+            ("ta", ("time", "lev", "lat", "lon")),
+            ("ps", ("time", "lat", "lon")),
+        ):
+            made = file.createVariable(name, "f4", dimensions)
+            made[:] = np.broadcast_to(F if name == "ta" else F[0], made.shape)
+    grid = open_file(tmp_path / "f.nc", {})
+    np.testing.assert_array_equal(grid.whole(), F)
+    assert grid.moment == (0, 2) and grid.unchosen
 
 
 def test_what_nobody_wrote_is_a_hole(tmp_path: Path) -> None:

@@ -68,7 +68,7 @@ def test_outside_of_a_mask_is_the_value_farthest_outside(
     save(tmp_path / "m.nrrd", inside.astype(np.uint8) * 3)
     scene = scene_of(tmp_path, f'solid = "{solid}"')
     np.testing.assert_array_equal(values(scene.volume), np.where(inside, FIELD, outside))
-    assert scene.volume.orientation.notes == ("Outside of 'm.nrrd' there is no surface.",)
+    assert "Outside of 'm.nrrd' there is no surface." in scene.volume.orientation.notes
     plain = load_scene(tmp_path / "v.nrrd", solid=solid)
     assert plain.bake_digest != scene.bake_digest and plain.volume.dtype == scene.volume.dtype
 

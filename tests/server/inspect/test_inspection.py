@@ -117,7 +117,8 @@ def test_figures_are_those_of_the_field_and_not_of_its_units(scale: float) -> No
         inspection_schema(scene_of(mask().astype(float) * s, 0.5 * s)) for s in (1.0, scale)
     )
     for one, other in zip(expected.stiffness.surfaces, facts.stiffness.surfaces, strict=True):
-        assert one.model_dump(exclude={"isovalue"}) == other.model_dump(exclude={"isovalue"})
+        left_out = {"isovalue", "spelled"}
+        assert one.model_dump(exclude=left_out) == other.model_dump(exclude=left_out)
 
 
 def test_integer_volumes_get_whole_isovalues_and_the_scenes_own() -> None:
@@ -158,12 +159,20 @@ def test_what_is_no_mark(kind: str) -> None:
 
 def test_remarks_follow_the_figures() -> None:
     surface = SurfaceSchema(
-        isovalue=7, cells=100, steep=0, plateau=0, noisy=0, holes=0, box={"x = 0": 1e-5}, error=None
+        isovalue=7,
+        spelled="7",
+        cells=100,
+        steep=0,
+        plateau=0,
+        noisy=0,
+        holes=0,
+        box={"x = 0": 1e-5},
+        error=None,
     )
     found = StiffnessSchema(surfaces=[surface], own=0, void=0.25, steps=1e6, mark=None)
     assert [remark.about for remark in remarks(found)] == ["void"]
     noisy = surface.model_copy(update={"noisy": 0.4})
-    calm = surface.model_copy(update={"isovalue": 9.0, "noisy": 0.1})
+    calm = surface.model_copy(update={"isovalue": 9.0, "spelled": "9", "noisy": 0.1})
     remark, coarse = remarks(
         StiffnessSchema(surfaces=[noisy, calm], own=0, void=0.0, steps=255.0, mark=None)
     )
@@ -287,7 +296,7 @@ def test_ten_lines_tell_of_holes_and_marks(brief_of: Brief, tmp_path: Path) -> N
     array = np.random.default_rng(3).random((12,) * 3).astype(np.float32)
     array[:2] = -9999.0
     array[5:7, 5:7, 5:7] = np.nan
-    nrrd.write(str(tmp_path / "a.nrrd"), array, index_order="C")
+    nrrd.write(str(tmp_path / "a.nrrd"), array, {"spacings": [1, 1, 1]}, index_order="C")
     told = brief_of(tmp_path / "a.nrrd")
     assert told["values"].endswith("8 voxels are not numbers: holes")
     assert "proposed from the values" in told["isovalue"]
@@ -314,3 +323,46 @@ def test_series_and_segmentations_have_no_more_lines(brief_of: Brief, tmp_path: 
     named |= {f"Segment{n}_Name": f"a part with a long name, number {n}" for n in range(8)}
     nrrd.write(str(tmp_path / "parts.seg.nrrd"), parts, named, index_order="C")
     assert "number 0" in brief_of(tmp_path / "parts.seg.nrrd")["light"]
+
+
+def printed(text: str) -> list[str]:
+    """Isovalues in what ``inspect`` prints: the proposed one, others, and those of the table."""
+    lines = text.splitlines()
+    line = next(line for line in lines if line.startswith("isovalue"))
+    found = re.findall(r"[-+]?\d[\d.]*(?:e[-+]?\d+)?", line.partition(";")[0])
+    head = next(n for n, line in enumerate(lines) if "error about" in line)
+    for row in lines[head + 1 :]:
+        if not re.match(r"[> ] +\S+ +[\d,]+ ", row):
+            break
+        found.append(row[1:].split()[0])
+    return found
+
+
+OFFSETS = [
+    *((0.0, 1.0), (0.0, 1e-30), (0.0, 1e30), (1e6, 0.1), (-1e6, 0.1), (1e9, 1e-4)),
+    *((1e9, 1e6), (2.0**60, 1e6), (-(2.0**60), 1e9), (273.15, 0.01), (0.1, 1e-9), (5e-324, 1e300)),
+]
+
+
+@pytest.mark.parametrize(("offset", "scale"), OFFSETS)
+def test_printed_isovalues_give_the_same_surface(offset: float, scale: float) -> None:
+    """Twelve offsets and scales: each number, typed back, is the same level of the same cells."""
+    ball = np.exp(-(np.mgrid[-1:1:10j, -1:1:11j, -1:1:12j] ** 2).sum(0))
+    scene = scene_of(offset + scale * ball, offset + scale * 0.54321)
+    facts = inspection_schema(scene)
+    text = full_text(scene, facts)
+    levels = {scene.volume.normalise_isovalue(each.isovalue) for each in facts.stiffness.surfaces}
+    levels |= {scene.volume.normalise_isovalue(end) for end in scene.isovalues}
+    numbers = printed(text)
+    assert len(numbers) > 5
+    assert {scene.volume.normalise_isovalue(float(number)) for number in numbers[1:]} <= levels
+    assert scene.volume.normalise_isovalue(
+        float(scene.volume.spell(scene.isovalue))
+    ) == scene.volume.normalise_isovalue(scene.isovalue)
+
+
+def test_neighbours_of_a_type_are_told_apart() -> None:
+    """Floats next to each other around a million are printed as different numbers."""
+    values = np.nextafter(np.float32(1e6), np.float32(2e6)) + np.arange(4, dtype=np.float32) / 16
+    volume = make_volume(np.resize(values, (4, 5, 6)))
+    assert len({volume.spell(float(value)) for value in np.unique(values)}) == 4

@@ -2,6 +2,7 @@
 any more.
 """
 
+import gzip
 import json
 import os
 import subprocess
@@ -117,3 +118,26 @@ def test_a_skewed_segmentation_is_uploaded_as_values(tmp_path: Path) -> None:
     }
     nrrd.write(str(tmp_path / "skew.seg.nrrd"), PARTS, {**SEGMENTS, **skewed}, index_order="C")
     assert open_file(read_confined(tmp_path / "skew.seg.nrrd", tmp_path), {}).labels is None
+
+
+def test_an_uploaded_crystal_repeats_as_its_file_does(tmp_path: Path) -> None:
+    path = next(path for path in written(tmp_path / "files") if path.name == "ELFCAR.gz")
+    (tmp_path / "oblique.gz").write_bytes(
+        gzip.compress(gzip.decompress(path.read_bytes()).replace(b"\n0 25.0 0", b"\n8 25.0 0", 1))
+    )
+    for each, name in ((path, "ELFCAR"), (tmp_path / "oblique.gz", "oblique")):
+        kept = read_confined(each, tmp_path)
+        facts = read_volume(kept)
+        assert facts is not None
+        assert facts.size == (16, 20, 12)
+        uploaded, placed = load_scene(kept).volume, load_scene(each).volume
+        assert uploaded.cell is not None
+        assert uploaded.cell == placed.cell, name
+        np.testing.assert_allclose(uploaded.voxels, placed.voxels, atol=1e-6)
+        assert uploaded.orientation.unit == "Å"
+
+
+def test_an_uploaded_cube_starts_at_its_isovalue(tmp_path: Path) -> None:
+    path = next(path for path in written(tmp_path / "files") if path.name == "f.cube")
+    path.write_text(path.read_text().replace("for a test", "isovalue = 123.5", 1))
+    assert load_scene(read_confined(path, tmp_path)).isovalue == 123.5

@@ -121,7 +121,7 @@ test("an albedo is asked for only where the view changed it", () => {
 
 test("a picture's words say the isovalue, the side and the shading", () => {
   const words = describe(SCENE, knobs({ isovalue: 70.123456789, azimuth: 29.6 }));
-  assert.equal(words, "Isosurface of Small at 70.1235, seen from azimuth 30°, elevation 20°; Global illumination");
+  assert.equal(words, "Isosurface of Small at 70.1234568, seen from azimuth 30°, elevation 20°; Global illumination");
 });
 
 test("a file is named by its scene and isovalue", () => {
@@ -349,4 +349,14 @@ test("a view is lines of a scene file", () => {
     "[view]", "azimuth = 35", "elevation = -18", "distance = 2.6", "target = [1, -2.5, 3]", "fov = 30",
     "exposure = 6", 'background = "dark"',
   ]);
+});
+
+test("an isovalue in words and file names gives the same surface", () => {
+  const volume = { value_range: [1e9, 1e9 + 1e-4] };
+  const scene = /** @type {any} */ ({ id: "small", name: "Small", volume });
+  const near = [1e9 + 5e-5, 1e9 + 5.012e-5];
+  assert.notEqual(fileName(scene, { isovalue: near[0] }), fileName(scene, { isovalue: near[1] }));
+  assert.equal(fileName(scene, { isovalue: 1e9 + 2 ** -15 }), `small-${1e9 + 2 ** -15}`);
+  const plain = { ...scene, volume: { value_range: [0, 100] } };
+  assert.equal(fileName(plain, { isovalue: 70.5 }), "small-70.5");
 });

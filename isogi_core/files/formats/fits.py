@@ -1,0 +1,119 @@
+"""FITS of astronomers, read by astropy: cubes in any extension, also compressed ones."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from isogi_core.errors import VolumeError
+from isogi_core.files.coordinates import NOWHERE, SPACING_KEY, Along, Place, place_by
+from isogi_core.files.formats.source import Source, library, pick_axes, reader
+from isogi_core.files.grid import SINGLE_MOMENT, Grid, Shape, read_as, slab_layers
+
+FITS_EXTRA = "'isogi[fits]'"
+
+SKY = ("RA", "DEC", "GLON", "GLAT", "ELON", "ELAT")
+"""How the types of axes on the sky begin. Source: FITS standard 4.0, section 8.3."""
+
+
+@reader("FITS", "part", "time", "channel")
+def open_fits(source: Source) -> Grid:
+    """Open an image of three dimensions or more as a grid: only headers are read now. Raises
+    VolumeError.
+    """
+    with _image(source) as image:
+        long = [n for n, length in enumerate(image.shape) if length > 1]
+        outer = long[:-3]
+        ahead, moment, _ = pick_axes(source, tuple(int(image.shape[n]) for n in long))
+        inner = long[-3:]
+        key = [0 if n not in inner else slice(None) for n in range(len(image.shape))]
+        for axis, element in zip(outer, ahead, strict=True):
+            key[axis] = element
+        shape = tuple(int(image.shape[n]) for n in inner)
+        source.check(shape)
+        first = list(key)
+        first[inner[0]] = slice(0, 1)
+        dtype = np.asarray(image.section[tuple(first)]).dtype.newbyteorder("=")
+        stored = np.dtype(f"{'f' if image.header['BITPIX'] < 0 else 'i'}{_bytes(image.header)}")
+        place = _place(image.header, [len(image.shape) - n for n in inner[::-1]], shape[::-1])
+    known = read_as("FITS", stored, "its axes" if place.said and not place.notes else "")
+    return Grid(
+        shape,
+        dtype,
+        place.spacing,
+        partial(_slabs, source, tuple(key), inner[0], shape, dtype),
+        source.stamp,
+        place.affine,
+        place.unit,
+        place.notes,
+        moment if len(outer) else SINGLE_MOMENT,
+        read_as=known,
+    )
+
+
+def _bytes(header: Any) -> int:
+    """Return the bytes of a stored number."""
+    return abs(int(header["BITPIX"])) // 8
+
+
+@contextmanager
+def _image(source: Source) -> Iterator[Any]:
+    """Open the image that is chosen by its number or name; by default the only one of three axes
+    longer than one. Raises VolumeError.
+    """
+    fits = library("astropy.io.fits", "FITS", FITS_EXTRA)
+    with source.unpacked() as file, fits.open(file, memmap=False) as units:
+        part = source.chosen.get("part")
+        cubes = {
+            str(n): unit
+            for n, unit in enumerate(units)
+            if sum(length > 1 for length in getattr(unit, "shape", ()) or ()) >= 3
+        }
+        named = {unit.name.lower(): unit for unit in cubes.values() if unit.name}
+        if part:
+            found = cubes.get(part) or named.get(part.lower())
+        else:
+            found = next(iter(cubes.values())) if len(cubes) == 1 else None
+        if found is None:
+            listed = ", ".join(f"'{source.name}#{n}' {unit.name}" for n, unit in cubes.items())
+            held = f"choose of {listed}" if cubes else "it has no image of three axes"
+            raise VolumeError(f"'{source.name}' holds no one cube: {held.strip()}.")
+        yield found
+
+
+def _place(header: Any, numbers: Sequence[int], lengths: Sequence[int]) -> Place:
+    """Place voxels by the axes x, y, z of a header, which have these numbers there. Those of the
+    sky, or of units that cannot be compared, are cubes that lie as the pixels do.
+    """
+    steps = [header.get(f"CDELT{n}", header.get(f"CD{n}_{n}")) for n in numbers]
+    if any(step is None or not float(step) for step in steps):
+        return NOWHERE
+    kinds = [str(header.get(f"CTYPE{n}", "")).strip() for n in numbers]
+    units = [str(header.get(f"CUNIT{n}", "")).strip() for n in numbers]
+    if len(set(units)) > 1 or any(kind.split("-")[0] in SKY for kind in kinds):
+        listed = ", ".join(unit or kind or "?" for unit, kind in zip(units, kinds, strict=True))
+        note = f"Voxels are taken as cubes, as its axes are {listed}: {SPACING_KEY}."
+        return Place(notes=(note,), said=True)
+    axes = [
+        Along(
+            float(header.get(f"CRVAL{n}", 0.0))
+            + float(step) * (np.arange(length) + 1.0 - float(header.get(f"CRPIX{n}", 1.0))),
+            unit,
+        )
+        for n, step, length, unit in zip(numbers, steps, lengths, units, strict=True)
+    ]
+    return place_by(axes)
+
+
+def _slabs(
+    source: Source, key: tuple[Any, ...], along: int, shape: Shape, dtype: np.dtype[Any]
+) -> Iterator[np.ndarray]:
+    """Read some layers at a time, scaled, with holes where the header says there is no number."""
+    with _image(source) as image:
+        step = slab_layers(shape[1] * shape[2] * dtype.itemsize)
+        for z in range(0, shape[0], step):
+            layers = list(key)
+            layers[along] = slice(z, min(z + step, shape[0]))
+            yield np.asarray(image.section[tuple(layers)]).astype(dtype)
