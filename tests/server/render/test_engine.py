@@ -331,7 +331,7 @@ def test_cut_metadata_stops_the_start(begin: Begin, store: Path) -> None:
     metadata.write_text(metadata.read_text()[:100])
     with pytest.raises(
         StoreError,
-        match=r"^Cannot open the light at .*; have `isogi store repair` mend it, "
+        match=r"^Cannot open the light at .*; let `isogi store repair` repair it, "
         r"or move that folder away, .*\.$",
     ):
         begin()
