@@ -14,6 +14,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from isogi_core.errors import ReportError
+from isogi_core.files.spelling import shortest
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.pixel_rays import Paths, variance_of_mean
@@ -242,10 +243,12 @@ def load_reference(path: Path, scene: Scene, view: View) -> Reference:
     # Refuse a reference of another subject, and say what the file holds.
     if kept["subject"] != subject_of(scene, view):
         described = (
-            "{scene} at {shortest(isovalue)}, {width} × {height} pixels, {bounces} bounces, "
+            "{scene} at {spelled}, {width} × {height} pixels, {bounces} bounces, "
             "{normals} normals, {offset:g} off"
         )
-        kept_view = described.format(**about, **about["view"])
+        kept_view = described.format(
+            **about, **about["view"], spelled=shortest(about["view"]["isovalue"])
+        )
         raise ReportError(
             f"{path} is of another scene, view or way of tracing ({kept_view}): name another file."
         )

@@ -69,8 +69,8 @@ def test_a_prewarm_of_all_steps_leaves_nothing_to_bake(series: Path, told: Told)
 @pytest.mark.parametrize(
     ("more", "sentence"),
     [
-        (["--server", "http://127.0.0.1:9"], "--times is for this process alone"),
-        (["--continue"], "--continue goes on with what was asked for"),
+        (["--server", "http://127.0.0.1:9"], "--times is only for work in this process"),
+        (["--continue"], "--continue resumes the former order"),
         (["--isovalue", "0.9"], "Step 0 of the series: isovalue must be a number from 0.2 to 0.8"),
     ],
 )
