@@ -478,7 +478,8 @@ class Frame:
         known = self.quality.known
         if known is None or len(known.controls.places) or self.quality.waiting:
             return False
-        return self.provisional and self.unlit < self.surface
+        # Walls and cut faces are drawn without texels: they are no light that has come.
+        return self.provisional and self.unlit < len(self.gbuffer.pixels)
 
     @property
     def unlit(self) -> int:
