@@ -140,7 +140,19 @@ class LayerStore:
             self.array  # noqa: B018
 
     def _find(self) -> "zarr.Array[Any] | None":
-        """Open the Zarr array in the store by its metadata; None if there is none."""
+        """Open the Zarr array in the store by its metadata; None if there is none.
+
+        Metadata that cannot be read are read once more: an answer may be damaged on its way.
+        """
+        try:
+            return self._read_metadata()
+        except StoreAwayError:
+            raise
+        except StoreError:
+            return self._read_metadata()
+
+    def _read_metadata(self) -> "zarr.Array[Any] | None":
+        """Read the metadata, and open the array that they describe; None if there are none."""
         found = self.store.get(self._metadata_key)
         try:
             if found is None:
@@ -153,9 +165,11 @@ class LayerStore:
 
     def _open(self) -> "zarr.Array[Any] | None":
         """Return the array, None if there is none; raise StoreError if it is not this layer's."""
-        array = self._find()
-        if array is None or self._is_ours(array):
-            return array
+        # Look twice: metadata that were damaged on their way may describe another array.
+        for _ in range(2):
+            array = self._find()
+            if array is None or self._is_ours(array):
+                return array
         raise StoreError(f"The data at {self.path} are not the light of this scene; {MOVE_AWAY}")
 
     def _is_ours(self, array: "zarr.Array[Any]") -> bool:

@@ -44,6 +44,10 @@ READ_ONLY_ANSWERS = ("status code: 405", NOT_IMPLEMENTED)
 """Words in the answers of HTTP servers that are read-only."""
 
 
+DAMAGED_LIST = "invalid list response"
+"""Words of the error that a list raises which cannot be parsed."""
+
+
 class Bucket:
     """Objects under a bucket's prefix.
 
@@ -144,9 +148,14 @@ class Bucket:
     def folders(self, folder: str) -> list[str]:
         """List the names of the folders right under ``folder``."""
         with self._translated_errors():
-            prefixes = self._obstore.list_with_delimiter(self._store, folder or None)[
-                "common_prefixes"
-            ]
+            try:
+                listed = self._obstore.list_with_delimiter(self._store, folder or None)
+            except Exception as error:
+                # The answer was damaged on its way: a server must not fail to start for that.
+                if DAMAGED_LIST not in str(error):
+                    raise
+                listed = self._obstore.list_with_delimiter(self._store, folder or None)
+            prefixes = listed["common_prefixes"]
         return sorted(prefix.rstrip("/").rpartition("/")[2] for prefix in prefixes)
 
     def keys(self, folder: str) -> Iterator[str]:
