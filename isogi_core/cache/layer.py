@@ -30,6 +30,7 @@ from isogi_core.cache.chunk_record import belongs, pack, record_type, unpack_all
 from isogi_core.errors import (
     ChangedError,
     DamagedChunkError,
+    StoreAwayError,
     StoreError,
     StoreFullError,
     StoreReadOnlyError,
