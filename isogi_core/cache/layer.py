@@ -10,7 +10,7 @@ from contextlib import suppress
 from dataclasses import asdict
 from functools import cached_property
 from itertools import compress
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import zarr
@@ -70,6 +70,22 @@ MOVE_AWAY = (
     "let `isogi store repair` repair it, or move that folder away, and the light is baked again."
 )
 
+Seen = TypeVar("Seen")
+
+
+def again_if_damaged(look: Callable[[], Seen]) -> Seen:
+    """Return what ``look`` finds in a store; look once more if that cannot be used.
+
+    An answer of a store may be damaged on its way. Raises what the second look raises, and
+    StoreAwayError at once.
+    """
+    try:
+        return look()
+    except StoreAwayError:
+        raise
+    except StoreError:
+        return look()
+
 
 class LayerStore:
     """The chunks of one layer in a ``store``. Methods raise StoreError.
@@ -122,7 +138,7 @@ class LayerStore:
     @property
     def exists(self) -> bool:
         """True if the store has light of the layer: an array of its own, and at least one chunk."""
-        array = self._find()
+        array = again_if_damaged(self._find)
         return (
             array is not None
             and self._is_ours(array)
@@ -141,19 +157,7 @@ class LayerStore:
             self.array  # noqa: B018
 
     def _find(self) -> "zarr.Array[Any] | None":
-        """Open the Zarr array in the store by its metadata; None if there is none.
-
-        Metadata that cannot be read are read once more: an answer may be damaged on its way.
-        """
-        try:
-            return self._read_metadata()
-        except StoreAwayError:
-            raise
-        except StoreError:
-            return self._read_metadata()
-
-    def _read_metadata(self) -> "zarr.Array[Any] | None":
-        """Read the metadata, and open the array that they describe; None if there are none."""
+        """Open the Zarr array in the store by its metadata; None if there is none."""
         found = self.store.get(self._metadata_key)
         try:
             if found is None:
@@ -166,11 +170,15 @@ class LayerStore:
 
     def _open(self) -> "zarr.Array[Any] | None":
         """Return the array, None if there is none; raise StoreError if it is not this layer's."""
-        # Look twice: metadata that were damaged on their way may describe another array.
-        for _ in range(2):
-            array = self._find()
-            if array is None or self._is_ours(array):
-                return array
+        return again_if_damaged(self._find_own)
+
+    def _find_own(self) -> "zarr.Array[Any] | None":
+        """Return the array that the store has now, None if there is none; raise StoreError if it is
+        not this layer's.
+        """
+        array = self._find()
+        if array is None or self._is_ours(array):
+            return array
         raise StoreError(f"The data at {self.path} are not the light of this scene; {MOVE_AWAY}")
 
     def _is_ours(self, array: "zarr.Array[Any]") -> bool:
