@@ -363,7 +363,7 @@ light, what is cut away, if and how often it repeats, and what changes it as vie
 NUMBERS_LYING = ("smooth", "pieces")
 """Settings of LYING that are numbers."""
 
-LISTS_LYING = ("periodic", "repeat")
+LISTS_LYING = ("periodic", "repeat", "spacing")
 """Settings of LYING that are lists of TOML, written with or without brackets."""
 
 
@@ -380,22 +380,22 @@ def split_settings(target: str) -> tuple[str, dict[str, Any]]:
     for key in (each for each in NUMBERS_LYING if each in told):
         with suppress(ValueError):  # a text stays, which the setting refuses
             told[key] = int(told[key]) if told[key].isdecimal() else float(told[key])
-    if "spacing" in told:
-        with suppress(ValueError):
-            told["spacing"] = [float(step) for step in told["spacing"].split(",")]
     for key in (each for each in LISTS_LYING if each in told):
         told[key] = [_lying_element(each.strip()) for each in told[key].strip("[]").split(",")]
     rest = "&".join(each for each in part.split("&") if each.partition("=")[0] not in LYING)
     return f"{place}#{rest}" if rest else place, told
 
 
-def _lying_element(text: str) -> bool | int | str:
-    """An element of a list in a target: a text stays, which the setting refuses."""
+def _lying_element(text: str) -> bool | float | str:
+    """Read an element of a list in a target: a text stays a text, which the setting refuses."""
     if text in ("true", "false"):
         return text == "true"
     if text.isascii() and text.isdecimal() and len(text) < MAX_DIGITS:
         return int(text)
-    return text
+    try:
+        return float(text)
+    except ValueError:
+        return text
 
 
 MAX_DIGITS = 10
