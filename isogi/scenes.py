@@ -15,6 +15,7 @@ import numpy as np
 from PIL import Image
 
 from isogi_core.errors import SceneError, VolumeError
+from isogi_core.files.coordinates import along, direction_of, is_even, role_of, roles_of
 from isogi_core.files.scene_file import SceneSource, find_source
 from isogi_core.model.lights import ENVIRONMENTS
 from isogi_core.plan.scene import Scene as CoreScene
@@ -32,9 +33,6 @@ if TYPE_CHECKING:
 
 Value = float | str | Sequence[float]
 """A parameter of a view: a number, a word, or numbers such as ``target=(10, 20, 5)``."""
-
-EVEN = 1e-3
-"""Relative differences of an array's coordinates that count as even."""
 
 
 def open_scene(
@@ -68,15 +66,21 @@ def kept_array(source: Any) -> tuple[str, str, Sequence[float] | None]:
     """Write an array to a file in a new folder; return the folder, the file, and the spacing of
     its voxels if the array has coordinates.
 
-    Raises VolumeError if it is no array of three dimensions.
+    An xarray is written with its axes as z, y, x, along coordinates that grow, so that it is no
+    mirror image. Raises VolumeError if it is no array of three dimensions.
     """
-    spacing = spacing_of(source) if hasattr(source, "coords") and hasattr(source, "dims") else None
     array = np.asarray(source)
     if array.ndim != 3 or array.dtype.kind not in "biuf":
         raise VolumeError(
             f"isogi opens arrays of three dimensions (z, y, x) and plain numbers; this one has the "
             f"shape {array.shape} and the type {array.dtype}."
         )
+    spacing = None
+    if hasattr(source, "coords") and hasattr(source, "dims"):
+        spacing = spacing_of(source)
+        names = axes_of(source)
+        array = np.transpose(array, [source.dims.index(name) for name in names])
+        array = np.flip(array, tuple(n for n, name in enumerate(names) if falls(source, name)))
     folder = tempfile.mkdtemp(prefix="isogi-array-")
     path = Path(folder) / "array.npy"
     np.save(path, array.astype(np.uint8) if array.dtype.kind == "b" else array)
@@ -89,19 +93,40 @@ def spacing_of(array: Any) -> list[float] | None:
     Raises VolumeError if the coordinates of a dimension are not even.
     """
     steps = []
-    for name in reversed(array.dims):
+    for name in reversed(axes_of(array)):
         if name not in array.coords or array.sizes[name] < 2:
             return None
         places = np.asarray(array.coords[name], np.float64)
-        differences = np.diff(places)
-        step = float(differences.mean())
-        if step == 0.0 or np.abs(differences - step).max() > EVEN * abs(step):
+        if not is_even(places):
             raise VolumeError(
                 f"The coordinates '{name}' are not evenly spaced: resample the array, or give "
                 "spacing=(x, y, z)."
             )
-        steps.append(abs(step))
+        steps.append(abs(float(places[-1] - places[0])) / (places.size - 1))
     return steps
+
+
+def axes_of(array: Any) -> list[Any]:
+    """Return the names of an xarray's dimensions in the order z, y, x, as names and attributes of
+    coordinates tell; dimensions that tell nothing are in this order already.
+    """
+    roles = roles_of([role_of(str(name), attributes_of(array, name)) for name in array.dims])
+    if sorted(roles) != ["x", "y", "z"]:
+        return list(array.dims)
+    return [array.dims[roles.index(role)] for role in "zyx"]
+
+
+def attributes_of(array: Any, name: Any) -> Mapping[str, Any]:
+    """Return the attributes of the coordinates along a dimension; none without coordinates."""
+    return getattr(array.coords[name], "attrs", {}) if name in array.coords else {}
+
+
+def falls(array: Any, name: Any) -> bool:
+    """Return True if voxels go back along a dimension, by its coordinates and their direction."""
+    if name not in array.coords:
+        return False
+    axis = along(array.coords[name], attributes_of(array, name))
+    return direction_of(axis) < 0.0
 
 
 def light_keys(light: Any) -> dict[str, Any]:
@@ -298,7 +323,8 @@ class Scene:
     def __repr__(self) -> str:
         """One line, such as ``Scene(engine, 256 × 256 × 128 voxels, isovalue 70)``."""
         size = " × ".join(map(str, self._scene.volume.size))
-        return f"Scene({self._source.name}, {size} voxels, isovalue {self.isovalue:g})"
+        isovalue = self._scene.volume.spell(self.isovalue)
+        return f"Scene({self._source.name}, {size} voxels, isovalue {isovalue})"
 
     def _started(self) -> RenderEngine:
         """Return the engine; start it and its workers if there is none."""

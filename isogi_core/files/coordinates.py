@@ -154,11 +154,11 @@ def place_by(axes: Sequence[Along | None], named: str = "its axes") -> Place:
     known = [each for each in axes if each is not None and each.values.size > 1]
     if not known:
         return NOWHERE
-    signs = [_sign(each) for each in axes]
+    signs = [direction_of(each) for each in axes]
     if len(known) < 3:
         missing = [name for name, each in zip("xyz", axes, strict=True) if each not in known]
         return _cubes(signs, f"the file gives no coordinates along {' and '.join(missing)}")
-    even = [_is_even(each.values) for each in known]
+    even = [is_even(each.values) for each in known]
     if not all(even):
         return _cubes(signs, f"the coordinates of {named} are uneven")
     units = [each.unit.lower() for each in known]
@@ -176,14 +176,14 @@ def place_by(axes: Sequence[Along | None], named: str = "its axes") -> Place:
     return Place(triple(map(abs, means)), affine, known[0].unit, said=True)
 
 
-def _sign(axis: Along | None) -> float:
+def direction_of(axis: Along | None) -> float:
     """Tell which way an axis goes, 1 or -1."""
     if axis is None or axis.values.size < 2:
         return 1.0
     return -1.0 if (axis.values[-1] < axis.values[0]) != axis.down else 1.0
 
 
-def _is_even(values: np.ndarray) -> bool:
+def is_even(values: np.ndarray) -> bool:
     """Tell whether steps are alike and not zero."""
     steps = np.diff(values)
     mean = float(steps.mean())

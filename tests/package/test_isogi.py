@@ -1,6 +1,7 @@
 """``import isogi``: the same pictures and files as the command line's, from Python."""
 
 import json
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -11,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 import isogi
-from isogi.scenes import open_scene, plain, spacing_of, text_of, toml_of
+from isogi.scenes import kept_array, open_scene, plain, spacing_of, text_of, toml_of
 from isogi_core.errors import SceneError, ViewError, VolumeError
 from isogi_core.files.scene_file import SceneSource
 from server.cli.command import cli
@@ -127,13 +128,23 @@ class Labelled:
         self.sizes = {name: len(places) for name, places in coordinates.items()}
 
     def __array__(self, dtype: object = None, copy: bool | None = None) -> np.ndarray:
-        return np.zeros([self.sizes[name] for name in self.dims])
+        shape = [self.sizes[name] for name in self.dims]
+        return np.arange(float(np.prod(shape))).reshape(shape)
 
 
 def test_coordinates_give_the_spacing() -> None:
     assert spacing_of(Labelled(z=[0, 2], y=[0, -1, -2], x=[3, 3.5, 4])) == [0.5, 1.0, 2.0]
     with pytest.raises(VolumeError, match="'y' are not evenly spaced"):
         open_scene(Labelled(z=[0, 2], y=[0, 1, 5], x=[0, 1]), None, None, None, None, {})
+
+
+def test_labelled_arrays_are_no_mirror_images() -> None:
+    labelled = Labelled(x=[0, 1, 2], z=[5, 3], y=[0, 2, 4, 6])
+    folder, path, spacing = kept_array(labelled)
+    written = np.load(path)
+    shutil.rmtree(folder)
+    assert spacing == [1.0, 2.0, 2.0] and written.shape == (2, 4, 3)
+    assert np.array_equal(written, np.asarray(labelled).transpose(1, 2, 0)[::-1])
 
 
 def test_values_become_text_and_toml(tmp_path: Path) -> None:
