@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from isogi_core.files.spelling import shortest
 from isogi_core.model.volume import CORE_LIMIT, Volume
 
 SAMPLED_VOXELS = 1 << 21
@@ -86,7 +87,7 @@ class Start:
     @property
     def one_sign(self) -> "Start":
         """The start of a field of both signs in a scene that shows one surface."""
-        shown, other = f"{self.isovalue:.6g}", f"{-self.isovalue:.6g}"
+        shown, other = shortest(self.isovalue), shortest(-self.isovalue)
         return replace(
             self,
             why=f"The field has both signs: its surface at {shown} is shown, and a table "
@@ -108,8 +109,8 @@ def find_start(volume: Volume, otsu: float) -> Start | None:
     low, high = volume.core
     level = volume.level
     if level is not None and low < level < high and (not signed or level != 0.0):
-        both = f" and {-level:.6g}" if signed else ""
-        return Start(level, signed, f"Starts at {level:.6g}{both}, as the file says.")
+        both = f" and {shortest(-level)}" if signed else ""
+        return Start(level, signed, f"Starts at {shortest(level)}{both}, as the file says.")
     if volume.deviations is not None:
         return of_deviations(values, DIFFERENCE_DEVIATIONS if signed else volume.deviations, signed)
     if signed:
@@ -117,13 +118,16 @@ def find_start(volume: Volume, otsu: float) -> Start | None:
         return Start(
             isovalue,
             True,
-            f"The field has both signs: its surfaces at {isovalue:g} and {-isovalue:g} start "
+            f"The field has both signs: its surfaces at {shortest(isovalue)} and "
+            f"{shortest(-isovalue)} start "
             f"together, which hold {HELD_SHARE:.0%} of its square.",
         )
     if is_peaked(values, otsu):
         isovalue = rounded(holding(values, np.maximum(values / values.max(), 0.0)))
         return Start(
-            isovalue, False, f"Starts at {isovalue:g}, which holds {HELD_SHARE:.0%} of the density."
+            isovalue,
+            False,
+            f"Starts at {shortest(isovalue)}, which holds {HELD_SHARE:.0%} of the density.",
         )
     return None
 
@@ -188,7 +192,7 @@ def of_deviations(values: np.ndarray, deviations: float, signed: bool) -> Start 
     return Start(
         isovalue,
         signed,
-        f"Starts at {isovalue:g}, {deviations:g} σ above the mean of the map: σ is "
+        f"Starts at {shortest(isovalue)}, {deviations:g} σ above the mean of the map: σ is "
         f"{deviation:.4g}, and the mean {mean:.4g}.",
     )
 

@@ -83,7 +83,7 @@ def key_of(facts: InspectionSchema) -> str:
     """Return the legend of the picture's marks."""
     return (
         "Share of the surface's cells, by isovalue; grey: voxels (logarithmic); line: the "
-        f"scene's {own_of(facts):.6g}"
+        f"scene's {facts.stiffness.surfaces[facts.stiffness.own].spelled}"
     )
 
 

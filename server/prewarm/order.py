@@ -16,6 +16,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import BeforeValidator, Field, StrictBool, WithJsonSchema, model_validator
 
+from isogi_core.files.spelling import shortest
 from isogi_core.model.material import DULL
 from isogi_core.model.view import View
 from isogi_core.plan.projection import CELLS_WAITED_FOR, sample_range
@@ -258,11 +259,10 @@ class PrewarmOrder(NoParams):
         if self.all_directions and others:
             raise ValueError(f"all_directions leaves nothing to {', '.join(others)}: keep one.")
         if self.levels.ranges and not self.all_directions:
-            first, last = self.levels.ranges[0]
-            meaning = f"isovalues {first:g}:{last:g} means every isovalue between"
+            ends = ":".join(map(shortest, self.levels.ranges[0]))
+            meaning = f"isovalues {ends} means every isovalue between"
             raise ValueError(
-                f"{meaning}, which takes all_directions; for views give a step: "
-                f"{first:g}:{last:g}:5."
+                f"{meaning}, which takes all_directions; for views give a step: {ends}:5."
             )
         return self
 
