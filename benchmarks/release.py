@@ -110,6 +110,14 @@ def faults(pages: Sequence[Page] = PAGES) -> list[str]:
     return found + [f"{name}: benchmarks/release.py does not list this page." for name in strange]
 
 
+def refuse_old_figures() -> None:
+    """Raise ClickException, with a sentence for each, if quoted figures have faults."""
+    found = faults()
+    if found:
+        lines = "\n".join(found)
+        raise click.ClickException(f"{lines}\nMeasure again: python -m benchmarks.release measure")
+
+
 @click.group(help="Measurements that the documents quote, and the steps of a release.")
 def release() -> None:
     """Hold the commands."""
@@ -139,10 +147,7 @@ def measure(names: tuple[str, ...]) -> None:
 @release.command()
 def check() -> None:
     """Refuse quoted figures whose commit is gone, or too old for what they measure."""
-    found = faults()
-    if found:
-        lines = "\n".join(found)
-        raise click.ClickException(f"{lines}\nMeasure again: python -m benchmarks.release measure")
+    refuse_old_figures()
     click.echo(f"All {len(PAGES)} pages are of this history and at most {LONGEST_AGE} commits old.")
 
 
@@ -156,9 +161,7 @@ def tag(version: str) -> None:
         raise click.ClickException("Commit or remove what is changed in the tree first.")
     if git("tag", "--list", f"v{version}"):
         raise click.ClickException(f"The tag v{version} exists.")
-    found = faults()
-    if found:
-        raise click.ClickException("\n".join(found))
+    refuse_old_figures()
     date_changes(version)
     project = ROOT / "pyproject.toml"
     text = project.read_text(encoding="utf-8")

@@ -173,11 +173,16 @@ class PictureCheck:
         """Return True if more controls would not help a picture that is not at its target: its
         interval lies above the target, or as many controls are drawn as may be.
         """
-        if measured.likely <= self.known.target:
-            most = MAX_CONTROLS
-        else:
-            most = CONTROLS_IF_MISSED
+        most = self._most_controls(measured)
         return measured.low > self.known.target or measured.controls >= most
+
+    def _most_controls(self, measured: TotalError) -> int:
+        """Return the most controls that are worth their paths: more for a picture that seems to be
+        at its target, as they are all that is left to show it.
+        """
+        if measured.likely <= self.known.target:
+            return MAX_CONTROLS
+        return CONTROLS_IF_MISSED
 
     def _blurred(self, frame: Frame, measured: TotalError) -> bool:
         """Return True if a picture seems to be at its target, and the noise of the controls' paths,
@@ -239,11 +244,8 @@ class PictureCheck:
         known = self.known
         before = len(self.known.controls.places)
         # Predict the number that decides, within the most that are worth their paths.
-        if measured.likely <= known.target:
-            most = MAX_CONTROLS
-        else:
-            most = CONTROLS_IF_MISSED
-        wanted = min(controls_to(measured, measured.likely, known.target), most)
+        decisive = controls_to(measured, measured.likely, known.target)
+        wanted = min(decisive, self._most_controls(measured))
         count = int(np.clip(wanted - before, before, 3 * before))
         more = self._draw(frame.gbuffer, uncertainty, (before, count), known.paths, tiles)
         self.known = replace(known, uncertainty=uncertainty, controls=known.controls.joined(more))
