@@ -271,20 +271,23 @@ def _others(paths: list[str], inside: str) -> str:
     return ""
 
 
-def labels_of(attributes: Mapping[str, Any]) -> tuple[LabelName, ...] | None:
-    """The labels of an image of labels, with the names and colours that it gives; None of other
-    images.
+def labels_of(attributes: Mapping[str, Any], name: str) -> tuple[LabelName, ...] | None:
+    """Return the labels to which the image of labels ``name`` gives a name, a colour or other
+    properties, ascending, without 0; None if the image is not one of labels.
+
+    Raises VolumeError if its metadata are damaged.
     """
     held = ome_of(attributes).get("image-label")
     if not isinstance(held, Mapping):
         return None
-    colours = {each["label-value"]: each.get("rgba") for each in held.get("colors") or ()}
-    names = {each["label-value"]: each for each in held.get("properties") or ()}
-    return tuple(
-        LabelName(int(value), _name(names.get(value, {})), _hex(colours.get(value)))
-        for value in sorted({*colours, *names})
-        if isinstance(value, int) and value
-    )
+    with _undamaged(name):
+        colours = {each["label-value"]: each.get("rgba") for each in held.get("colors") or ()}
+        names = {each["label-value"]: each for each in held.get("properties") or ()}
+        return tuple(
+            LabelName(int(value), _name(names.get(value, {})), _hex(colours.get(value)))
+            for value in sorted({*colours, *names})
+            if isinstance(value, int) and value
+        )
 
 
 def _name(properties: Mapping[str, Any]) -> str:

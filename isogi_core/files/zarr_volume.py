@@ -421,9 +421,8 @@ def find_array(path: Path | str, level: int | None) -> FoundArray:
                 f"'{path}' names a resolution '{chosen}' that is no array: write it again."
             )
         found = _with_axes(path, among, array, image[level or 0])
-        return replace(
-            found, notes=tuple(notes), labels=labels_of(node.attrs.asdict()), levels=len(image)
-        )
+        labels = labels_of(node.attrs.asdict(), str(path))
+        return replace(found, notes=tuple(notes), labels=labels, levels=len(image))
     if level is not None:
         raise VolumeError(
             f"'{path}' is one array, without levels: leave out 'level', or name the image."

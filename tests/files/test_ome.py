@@ -221,6 +221,16 @@ def test_an_image_of_labels_names_them(tmp_path: Path) -> None:
     ]
 
 
+@pytest.mark.parametrize(
+    "colour", [{"rgba": [1, 2, 3]}, {"label-value": 1, "rgba": [0.5, 0.5, 0.5]}, 7]
+)
+def test_damaged_labels_are_refused(tmp_path: Path, colour: object) -> None:
+    about = {"image-label": {"colors": [colour]}}
+    path = image(tmp_path / "v.zarr", FIELD % 3, ZYX, scale(1, 1, 1), **about)
+    with pytest.raises(VolumeError, match=r"The OME metadata of '.*v\.zarr' is damaged"):
+        open_zarr(path)
+
+
 # --- written images
 # --------------------------------------------------------------------------------------------------
 
