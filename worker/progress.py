@@ -476,11 +476,13 @@ class CostEstimate:
     maps: float = 0.0
     stored: int = 0
 
-    def times(self, more: float) -> "CostEstimate":
-        """Return the cost of ``more`` times as many texels. Maps are made once for all of them."""
-        seconds = more * self.seconds
-        processor = more * self.processor
-        stored = round(more * self.stored)
+    def times(self, factor: float) -> "CostEstimate":
+        """Return the cost of ``factor`` times as many texels. Maps are still made once for each
+        worker, and the relative error stays.
+        """
+        seconds = factor * self.seconds
+        processor = factor * self.processor
+        stored = round(factor * self.stored)
         return replace(self, seconds=seconds, processor=processor, stored=stored)
 
     def time_left(self, workers: int, around: float) -> TimeLeft:

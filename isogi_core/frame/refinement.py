@@ -34,10 +34,12 @@ class Refinement(ABC, Generic[Light]):
     def step(
         self, frame: Frame, light: RotatedLight, target: float, tiles: Tiles, prices: Prices
     ) -> bool:
-        """Take one step that brings a ``frame`` under a ``light`` nearer to the ``target`` error;
-        return False if there is no step to take.
+        """Take one step that brings a ``frame`` under a ``light`` nearer to the ``target``, a
+        relative error; return False if there is no step to take.
 
-        ``prices`` weigh the ways to the target. Raises Cancelled.
+        Return True without a step if another thread has taken one since the frame was drawn.
+        ``prices`` are the costs of texels in paths of pixels, by which a check chooses between
+        both. Raises Cancelled.
         """
         found = self.of(frame, light, target, tiles)
         if found is None:

@@ -225,7 +225,7 @@ def place_glows(glows: Sequence[Glow], volume: Volume, bits: np.ndarray = NO_BIT
         tuple(glows),
         middles,
         halves,
-        np.array([_voxels(glow.values, volume) for glow in glows]),
+        np.array([_range_of_voxels(glow.values, volume) for glow in glows]),
         bits,
     )
 
@@ -252,10 +252,13 @@ def _box_of(mask: str, bits: np.ndarray, number: int) -> np.ndarray:
     ).T
 
 
-def _voxels(values: tuple[float, float], volume: Volume) -> tuple[float, float]:
-    """Convert a range of the file's values to the units of a volume's voxels. Raises SceneError
-    if no value is in it.
+def _range_of_voxels(values: tuple[float, float], volume: Volume) -> tuple[float, float]:
+    """Convert a range of the file's values to the units of a volume's voxels, the least first.
+
+    Ends may lie outside the volume's values. Raises SceneError if the range lies wholly below or
+    above these.
     """
+    # An infinite range stays so: kernels take it as no range.
     if values == ALL_VALUES:
         return ALL_VALUES
     low, high = volume.value_range
@@ -264,8 +267,8 @@ def _voxels(values: tuple[float, float], volume: Volume) -> tuple[float, float]:
             f"A glow's values are {shortest(values[0])} to {shortest(values[1])}, and the volume's "
             f"{shortest(low)} to {shortest(high)}: no voxel glows."
         )
-    one, other = (float(volume.normalise_isovalue(value)) for value in values)
-    return min(one, other), max(one, other)
+    least, greatest = volume.normalise_span(*values)
+    return float(least), float(greatest)
 
 
 def glow_from_mapping(table: Mapping[str, Any]) -> Glow:

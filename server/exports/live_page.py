@@ -145,7 +145,13 @@ def poster_of(renderer: Renderer, params: FrameParams, view: View, target: float
 
 
 def document_of(renderer: Renderer, params: FrameParams, view: View, span: Span) -> dict[str, Any]:
-    """Return all that the page needs besides light: the scene, and the data of its card."""
+    """Return the document of a page without its key ``light``, which the caller adds: the scene,
+    and what the card needs besides voxels and texels.
+
+    Voxels are named by their files; links and limits of a server are left out. The ``span`` is in
+    the file's units.
+    """
+    # Links carry no query, as there is no server.
     card = card_scene(renderer, view, ())
     slabs = [
         CardSlab(first=a, last=b, href=slab_name(a, b))

@@ -29,9 +29,11 @@ from isogi_core.plan.variants import OUTER, WALLS_SIDE, Side, scene_of_side, sid
 from isogi_core.prepared.prepared_scene import PreparedScene
 
 SHOWN = 2
-HELD = 6
-"""Number of isovalues of the sliding surface for which views of pinned surfaces are kept; and of
-isovalues for which light is: for each of these, the two levels around it and the isovalue itself.
+"""Number of isovalues of the sliding surface for which views of pinned surfaces are kept."""
+
+HELD = 3 * SHOWN
+"""Number of isovalues for which light is kept: for each that is shown, the two levels around it and
+the isovalue itself.
 """
 
 
@@ -242,8 +244,8 @@ Kept = TypeVar("Kept")
 
 
 def newest(kept: OrderedDict[Any, Kept], key: Any, most: int) -> Kept:
-    """Return the entry of ``kept`` by ``key``, make it the newest, and drop the oldest beyond
-    ``most``.
+    """Return the entry of ``kept`` by ``key``, which must be there, and mark it as used last. Drop
+    those used longest ago beyond ``most``, which is at least 1.
     """
     kept.move_to_end(key)
     while len(kept) > most:

@@ -207,12 +207,13 @@ def prepare_points(surface, picture, part):
 
 @kernel(types.void(PIXEL_ARRAY, types.int64, ORDER_ARRAY, types.int64[::1]))
 def sort_by_turn(pixels, width, order, ends):
-    """Fill the ``order`` (m,) of the points at ``pixels`` of a picture of this ``width``, and the
-    ``ends`` (SAMPLING_TURNS + 1,) of the turns.
+    """Fill the ``order`` (m,) with the numbers of the points at ``pixels`` (y · ``width`` + x),
+    turn by turn and ascending within each, by a counting sort.
 
-    Points of turn t are ``order[ends[t]]`` to ``order[ends[t + 1] - 1]``. This is a counting sort.
+    ``ends`` (SAMPLING_TURNS + 1,) is filled, too: turn t has ``order[ends[t] : ends[t + 1]]``, and
+    ``ends[0]`` is 0.
     """
-    # Count the points of each turn, and sum the counts up to the turns' begins.
+    # Count the points of each turn, and sum the counts: a turn begins where the one before ends.
     ends[:] = 0
     for m in range(pixels.shape[0]):
         y, x = divmod(np.int64(pixels[m]), width)

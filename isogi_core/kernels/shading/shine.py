@@ -439,8 +439,10 @@ ONE_F32 = np.float32(1.0)
 
 @kernel(inline=True)
 def biweight(normals, n, normal, narrow):
-    """Return the weight of the normal of point ``n`` for a ``normal``: Tukey's biweight of the
-    distance between both, ``narrow`` being the inverse square of its width.
+    """Return the weight of point ``n`` in a mean around a point with this ``normal``.
+
+    It is Tukey's biweight of the distance d between the tips of both unit normals: (1 - d² ·
+    ``narrow``)², or 0 if d is at least the filter's width; ``narrow`` is 1 / width².
     """
     x = normals[n, 0] - normal[0]
     y = normals[n, 1] - normal[1]

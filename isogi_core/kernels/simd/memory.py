@@ -353,7 +353,9 @@ def _take(
 
 
 def _type_of_scatter(array: Any, index: Any, vector: Any, mask: Any) -> Any:
-    """Return the signature of ``scatter``, or None if the vector does not match array and index."""
+    """Return the signature of ``scatter``, or None if the vector does not have the array's type of
+    elements and as many lanes as the index. The mask is not tested.
+    """
     fits = vector == _vector(array, index.count)
     if fits:
         return signature(types.none, array, index, vector, mask)

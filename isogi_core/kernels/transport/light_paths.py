@@ -105,11 +105,12 @@ def advance_in_the_open(scene, state, vertices, following, bounce, rules):
 
 @advance.case(Open, PathRules)
 def advance_by_weights(scene, state, vertices, following, bounce, rules):
-    """Move the paths that hit the surface there,
-    with the weight of one more bounce as throughput.
+    """Set the throughput of each path that goes on to row ``bounce`` + 1 of the weights, which
+    count all bounces so far, and move it to its hit point.
     """
     rays = state.wave.rays
     carried = state.wave.carried
+    # Paths are found by the places of their rays, which change as they move: set weights first.
     for i in rays.hits[: following.count]:
         for c in range(3):
             carried[c, rays.owners[i]] = rules.weights[bounce + 1, c]
