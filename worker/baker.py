@@ -171,6 +171,7 @@ class Baker:
         self._duplicate = self._healed = self._kept = 0
         self.paths = 0
         self._seconds = 0.0
+        # Time at which workers last began to leave cores free for a view that moves.
         self._way = -CLEAR_CORES_SECONDS
         self._pause = Pause(clock, self.stir)
         self._changed = threading.Condition()
@@ -444,7 +445,10 @@ class Baker:
         self._pace.working(min(self._in_flight, self.workers))
 
     def _room(self, pool: "WorkerPool") -> int:
-        """Return the number of tasks that may be in flight now."""
+        """Return the number of tasks that may be in flight now.
+
+        It is at most ``pool.room``, which is 0 while the workers cannot be reached.
+        """
         # While the store takes no light, more of it would only fill memory.
         if self._writer is not None and self._writer.reason:
             return 0
@@ -452,12 +456,9 @@ class Baker:
         if self._pause.reason:
             return min(int(self._pause.over), pool.room)
         # While a view moves, half of the workers have one task each.
-        return min(
-            max(pool.workers // 2, 1)
-            if self._clock() - self._way < CLEAR_CORES_SECONDS
-            else pool.room,
-            pool.room,
-        )
+        if self._clock() - self._way < CLEAR_CORES_SECONDS:
+            return min(max(pool.workers // 2, 1), pool.room)
+        return pool.room
 
     def _submit(self, pool: "WorkerPool", requests: Sequence[BakeRequest]) -> None:
         """Hand over requests of one bake as one task of the pool."""
