@@ -136,9 +136,11 @@ class Costs:
             self._fastest = min(cost.seconds / cost.paths, self._fastest or math.inf)
 
     def read(self) -> None:
-        """Add the costs in the store.
+        """Add the costs in the store to those in memory. Call it once, as a second call would count
+        them twice.
 
-        Missing or damaged costs count as unknown; the latter are logged.
+        Nothing is added if there are no costs in the store, or if they are damaged or cannot be
+        read. The last two are logged; no error is raised.
         """
         try:
             found = self._store.get(self._key)
