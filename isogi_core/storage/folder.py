@@ -138,7 +138,11 @@ class Folder:
             return []
 
     def keys(self, folder: str) -> Iterator[str]:
-        """List the keys of all objects under ``folder``, without half-written ones."""
+        """List the keys of all objects under ``folder``, without half-written ones, in no fixed
+        order.
+
+        A folder that is missing or cannot be read counts as empty.
+        """
         for base, _, files in os.walk(self.path / folder):
             for name in files:
                 if not name.endswith(PARTIAL_SUFFIX):
@@ -180,7 +184,10 @@ def open_descriptor(path: Path, flags: int) -> Iterator[int]:
 
 
 class FileSystem:
-    """Objects under a store URL that Zarr opens, such as those of fsspec."""
+    """Objects under a store URL that Zarr opens, such as those of fsspec.
+
+    Methods raise the errors of that file system, of many kinds. Objects have no tags.
+    """
 
     def __init__(self, store_url: StoreUrl, sentinel: str) -> None:
         """Open the store as Zarr does."""
@@ -188,7 +195,10 @@ class FileSystem:
         self._store: Store = sync(make_store(store_url.url, mode="a"))
 
     def get(self, key: str, known: StoredObject | None = None) -> StoredObject | None:
-        """Read an object; None if there is none."""
+        """Read an object; None if there is none.
+
+        ``known`` is ignored: without tags, the store cannot say that an object is unchanged.
+        """
         stored = sync(self._store.get(key, default_buffer_prototype()))
         if stored is None:
             return None
