@@ -206,8 +206,11 @@ class Baker:
             self._feed()
 
     def prepare(self, scene: str | None = None) -> None:
-        """Have every worker open a scene, by default the first one,
-        before a view asks for its light.
+        """Have every worker open a ``scene``, by default the first one, before a view asks for its
+        light. Does not wait for that.
+
+        Nothing is done without a pool, or if there is no such scene. A worker that fails to open it
+        reports no error: it opens the scene again with its first task.
         """
         pool = self._pool
         bake = self._bakes.get(scene or next(iter(self._bakes), ""))
@@ -414,7 +417,11 @@ class Baker:
             return self._queue.wanted(name)
 
     def _met(self, name: str, index: Index) -> None:
-        """Have a chunk read again that another writer has added light to."""
+        """Have views read the chunk ``index`` of the bake ``name`` again, as the writer has found
+        that another process has added light to it.
+
+        Listeners are told that no more of the chunk will be baked, even if it has open requests.
+        """
         bake = self._bakes.get(name)
         if bake is not None:
             bake.arrived(index)
@@ -582,10 +589,14 @@ class Baker:
             listener(scene, index, more)
 
     def _fail(self, key: Key, error: BaseException | None) -> None:
-        """Log a failure of a task, and have the queue try again or give up."""
+        """Log that the task of a chunk has failed with an ``error``, and have the queue try it
+        again, or give it up after several failures. The caller must hold the lock.
+        """
         scene, index = key
         self._failed_tasks += 1
         log.warning("baking chunk %s of %s failed: %s", index, scene, error)
+        # If a worker died with the task, the queue hands the chunk out alone the next time, as its
+        # task may kill workers.
         lost = isinstance(error, LostWorkerError)
         if self._queue.fail(key, f"Chunk {index} of {scene} cannot be baked: {error}", lost):
             log.error("chunk %s of %s is given up for a while", index, scene)

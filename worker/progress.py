@@ -171,8 +171,10 @@ class TimeEstimator:
         clock: Callable[[], float] = time.monotonic,
         prior: tuple[float, ...] = ASSUMED_WORK_RATIOS,
     ) -> None:
-        """Begin without estimates;
-        ``prior`` are assumed ratios of true to estimated times, ascending.
+        """Begin without estimates.
+
+        ``clock`` returns seconds. ``prior`` are two or more assumed ratios of true to estimated
+        work, which always count along with the measured ones.
         """
         self._clock = clock
         self._prior = prior

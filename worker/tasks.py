@@ -442,7 +442,7 @@ def bake_all(tasks: Sequence[BakeTask]) -> list[Outcome]:
 
 
 def outcome_of(task: BakeTask) -> Outcome:
-    """Return the outcome of a task that is done alone."""
+    """Do a task alone; return its result, or the error that it raised."""
     try:
         return bake(task)
     except Exception as error:
