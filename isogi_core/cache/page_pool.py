@@ -331,16 +331,19 @@ def row_bytes(spec: BakeSpec) -> int:
 
 
 def rows_in(pages: Sequence[np.ndarray], counts: np.ndarray) -> np.ndarray:
-    """Return the rows of the texels of chunks, (texels,) int32:
-    a chunk with ``counts[i]`` texels fills its ``pages[i]`` in order.
+    """Return the rows of the texels of chunks, chunk by chunk, (texels,) int32.
+
+    ``pages[i]``, of any length, int32, are the numbers of a chunk's pages, in the order in which
+    its ``counts[i]`` texels fill them. Page k has the PAGE_TEXELS rows from k · PAGE_TEXELS on.
     """
-    each = [
-        (first[:, None] * PAGE_TEXELS + np.arange(PAGE_TEXELS, dtype=np.int32)).ravel()
-        for first in pages
+    # All rows of the pages of each chunk; its last page may have more than it has texels.
+    rows_of_chunks = [
+        (numbers[:, None] * PAGE_TEXELS + np.arange(PAGE_TEXELS, dtype=np.int32)).ravel()
+        for numbers in pages
     ]
-    return np.concatenate(
-        [np.empty(0, np.int32), *(rows[:count] for rows, count in zip(each, counts, strict=True))]
-    )
+    used = [rows[:count] for rows, count in zip(rows_of_chunks, counts, strict=True)]
+    # The empty array gives the result its type if there are no chunks.
+    return np.concatenate([np.empty(0, np.int32), *used])
 
 
 MAX_SAMPLE_LEVELS = 32
