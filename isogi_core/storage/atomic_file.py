@@ -84,7 +84,9 @@ def whole_folder(path: Path) -> Iterator[Path]:
     """Yield the path of a folder next to ``path``, for the block to create and fill; then rename it
     to ``path``.
 
-    If the block fails, the folder is deleted.
+    If the block fails, the folder is deleted. Its name is always the same, and a folder that was
+    left there is deleted first: only one process at a time may write to ``path``. Raises OSError if
+    ``path`` is a file, or a folder that is not empty.
     """
     partial = path.with_name(f"{path.name}{PARTIAL_SUFFIX}")
     shutil.rmtree(partial, ignore_errors=True)

@@ -165,9 +165,9 @@ class Folder:
             os.replace(self.path / key, self.path / to)
 
     def check_writable(self, data: bytes) -> None:
-        """Raise the error that a write would raise.
+        """Raise the error that a write would raise, by writing TRIAL_OBJECT and deleting it again.
 
-        The file that is written for this is deleted again.
+        ``data`` is ignored: unlike the short sentinel, TRIAL_OBJECT shows if the disk is full.
         """
         with partial_file(self.path / "probe", TRIAL_OBJECT):
             pass
@@ -205,9 +205,10 @@ class FileSystem:
         return StoredObject(stored.to_bytes())
 
     def put(self, key: str, data: bytes, former: StoredObject | None) -> None:
-        """Write an object.
+        """Write an object in place of ``former``.
 
-        Raises ChangedError if another is found right before; a later one is overwritten.
+        Raises ChangedError if there is another object than ``former``. The check and the write are
+        separate calls: an object that is written between them is lost.
         """
         if self.get(key) != former:
             raise ChangedError(f"Another writer has changed {key} meanwhile: read it again.")
@@ -222,8 +223,10 @@ class FileSystem:
         sync(self._store.delete(key))
 
     def folders(self, folder: str) -> list[str]:
-        """List the names of the folders right under ``folder``;
-        names with a dot are objects here.
+        """List the names of the folders right under ``folder``.
+
+        Zarr lists objects and folders alike. Those with a dot in their names, such as zarr.json,
+        are taken for objects, all others for folders.
         """
         names = {name.partition("/")[0] for name in sync(listed(self._store.list_dir(folder)))}
         return sorted(name for name in names if "." not in name)

@@ -325,8 +325,10 @@ class Store:
         return self.read_only
 
     def _check_in_thread(self) -> None:
-        """Start a thread that checks the store, unless one is running
-        or the last check still stands, and wait CHECK_SECONDS for it.
+        """Start a thread that checks the store and notes the result, and wait for it, at most for
+        CHECK_SECONDS.
+
+        If such a thread is running already, or the last check still stands, return immediately.
         """
         with self._opening:
             if self._clock() < self._checked_until or (
@@ -349,7 +351,10 @@ class Store:
 
     @property
     def _backend(self) -> Backend:
-        """The backend, made on first use, as that may load a library."""
+        """The backend, made on first use, as that may load a library.
+
+        Raises StoreError if the library is missing, or if it rejects the URL.
+        """
         with self._opening:
             if self._made is None:
                 self._made = CountedBackend(backend_at(self.url), self.calls)
