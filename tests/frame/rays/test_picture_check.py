@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from isogi_core.bake.noise import Goal
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.errors import Cancelled
 from isogi_core.files.radiance import write_hdr
@@ -257,14 +258,13 @@ def reading_of(error: np.ndarray, samples: np.ndarray) -> Reading:
     none = np.zeros(0, np.int64)
     return Reading(
         rows,
-        grade_rows(rows, error, samples, 0.02),
+        grade_rows(rows, error, samples, Goal(0.02)),
         b"",
         samples,
         error,
         none,
         none,
-        0.02,
-        FIRST_LEVEL,
+        Goal(0.02, FIRST_LEVEL),
     )
 
 
@@ -393,7 +393,7 @@ def test_a_frame_that_others_have_overtaken_takes_no_step(coarse: Workbench) -> 
     while (frame := renderer.render(view)).refinable and len(seen) < 6:
         seen.append(frame.total.controls)
         for _ in range(2):
-            assert renderer.refine_frame(frame, TARGET, renderer.tiles, PRESENT)
+            assert renderer.refine_frame(frame, Goal(TARGET), renderer.tiles, PRESENT)
     assert seen[:2] == [0, FIRST_CONTROLS], "the second step waits for a frame that shows the first"
     one, other = checked(bench, view), checked(coarse, view)
     assert (one.version, one.total) == (other.version, other.total)
