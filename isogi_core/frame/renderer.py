@@ -35,6 +35,7 @@ from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.frame.edges import smooth_edges
 from isogi_core.frame.eye_glow import with_glow
+from isogi_core.frame.features import features_of
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.framing import frame_of
 from isogi_core.frame.gbuffer import GBuffer, surface_key, to_index, trace
@@ -228,7 +229,7 @@ def unlit_frame(
     """
     scene = renderer.prepared.scene
     # Skip the picture only if all light is missing, and is asked for in one stage.
-    staged = scene.surfaces.several or scene.surfaces.material.refracts
+    staged = any(feature.in_stages for feature in features_of(scene))
     if staged or view.moving or view.shading not in SPECS or renderer.knows(view):
         return None
     scene.lighting.room.refuse_camera(view.camera, scene.volume.radius)

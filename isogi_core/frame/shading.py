@@ -82,7 +82,7 @@ def shade(shot: Shot) -> Framebuffer:
             return shade_by_paths(shot)
     with shot.watch.stage("shade"):
         framebuffer = shade_locally(shot)
-        colour_surface(shot.gbuffer, shot.light, framebuffer, shot.tiles)
+        colour_surface(shot, framebuffer)
         return framebuffer
 
 
@@ -117,14 +117,13 @@ def fog_depths(view: View, volume: Volume) -> tuple[float, float]:
     return max(middle - volume.radius, 0.0), middle + volume.radius
 
 
-def colour_surface(
-    gbuffer: GBuffer, light: RotatedLight, framebuffer: Framebuffer, tiles: Tiles
-) -> None:
-    """Multiply the surface in a picture by its colours by data, if it has any; relative errors
-    stay. Raises Cancelled.
+def colour_surface(shot: Shot, framebuffer: Framebuffer) -> None:
+    """Multiply the surface in the picture of a ``shot`` by its colours by data, if it has any;
+    relative errors stay. Raises Cancelled.
     """
-    if light.coloured:
-        framebuffer.radiance[gbuffer.pixels] *= light.tints(gbuffer, tiles)
+    if shot.light.coloured:
+        tints = shot.light.tints(shot.gbuffer, shot.tiles)
+        framebuffer.radiance[shot.gbuffer.pixels] *= tints
 
 
 def shade_by_paths(shot: Shot) -> Framebuffer:

@@ -174,7 +174,7 @@ class SurfaceRenderer:
                 straight = self.lobes(light, gbuffer, tiles)
                 add_lobes(gbuffer.pixels, straight.lit, light.spec.unit, framebuffer)
         # Texels hold light for a white surface: colours by data are multiplied in at the pixels.
-        colour_surface(gbuffer, light, framebuffer, tiles)
+        colour_surface(shot, framebuffer)
         # Shine depends on the direction to the eye, and is added by rays from the pixels.
         if light.shine is not None and spec_name(shot.view.shading) == "gi":
             with shot.watch.stage("shine"):

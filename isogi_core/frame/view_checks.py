@@ -12,7 +12,6 @@ from isogi_core.bake.noise import RATE, Goal
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import surface_key
-from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.control_pixels import CONTROLS_IF_MISSED, paths_for
 from isogi_core.frame.rays.own_light import foreseen_paths
 from isogi_core.frame.rays.picture_check import PictureCheck
@@ -62,15 +61,12 @@ class ViewChecks(Refinement[PictureCheck]):
         self._kept = kept
         self._texels = texels
 
-    def check(self, light: RotatedLight, target: float) -> PictureCheck:
-        """Return the check of the picture of a view, or begin one."""
-        return self._kept.get(
-            check_key(light.view, target), lambda: PictureCheck(light, PictureState(target))
-        )
-
     def of(self, shot: Shot) -> PictureCheck:
-        """Return the check of the picture of a ``shot``: see ``Refinement``."""
-        return self.check(shot.light, shot.goal.error)
+        """Return the check of the picture of a ``shot``, kept or begun now: see ``Refinement``."""
+        target = shot.goal.error
+        return self._kept.get(
+            check_key(shot.view, target), lambda: PictureCheck(shot.light, PictureState(target))
+        )
 
     def advance(self, found: PictureCheck, frame: Frame, shot: Shot, prices: Prices) -> bool:
         """Take one step of the check ``found``: see ``Refinement``."""

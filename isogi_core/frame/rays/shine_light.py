@@ -258,18 +258,17 @@ class ViewShine(Refinement[ShineLight]):
         unshadowed light if nothing is lit yet.
         """
         hits = rays.hits
-        tiles = shot.tiles
         # The ends are a picture of one row: shade it as any other, from texels, lobes, colours and
         # walls. Its texels are final once those of the view are.
         check = self.checks.held(shot.view, shot.goal.error)
         first = shot.goal._replace(samples=FIRST_LEVEL)
         goal = goal_of_texels(first, shot.view, check.known if check else None)
         seen = RotatedLight(shot.light.spec, rays.view(shot.view))
-        row = Shot(hits, seen, goal, tiles)
-        texels = self.texels.under(seen.view, hits, tiles)
+        row = Shot(hits, seen, goal, shot.tiles)
+        texels = self.texels.under(seen.view, hits, shot.tiles)
         reading, framebuffer = self.texels.picture(texels, row)
-        add_lobes_seen(rays, seen, framebuffer, tiles)
-        colour_surface(hits, seen, framebuffer, tiles)
+        add_lobes_seen(rays, row, framebuffer)
+        colour_surface(row, framebuffer)
         version = self.walls.put_seen(row, walls_seen(rays, seen), framebuffer)
         return SeenLight(
             framebuffer.radiance, framebuffer.state, reading.version + version.encode()
@@ -287,17 +286,17 @@ def walls_seen(rays: ShineRays, light: RotatedLight) -> list[WallView]:
     return WallView.of_sides(hits, light, sides)
 
 
-def add_lobes_seen(
-    rays: ShineRays, light: RotatedLight, framebuffer: Framebuffer, tiles: Tiles
-) -> None:
-    """Add the direct light of lobes at the ends of ``rays`` to the picture of these, by one shadow
-    ray to each lobe.
+def add_lobes_seen(rays: ShineRays, row: Shot, framebuffer: Framebuffer) -> None:
+    """Add the direct light of lobes at the ends of ``rays`` to the picture of these, whose shot is
+    a ``row``, by one shadow ray to each lobe.
 
     Raises Cancelled.
     """
+    light = row.light
     if not light.spec.lobes:
         return
     hits = rays.hits
+    tiles = row.tiles
     # Random points on lobes belong to the sequences of the rays.
     lamps = light.lobes
     shown = hits.shown(tiles)
