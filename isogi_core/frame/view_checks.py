@@ -136,7 +136,7 @@ class ViewChecks(Refinement[PictureCheck]):
     @staticmethod
     def foreseen(frame: Frame, target: float) -> PathsLeft:
         """Return the paths that a ``frame`` is foreseen to take, before it was measured."""
-        if frame.quality.target is None or frame.quality.lacking is None:
+        if frame.target is None or frame.quality.lacking is None:
             return PathsLeft()
         return foreseen_work(frame, frame.quality.lacking.reading, target)
 

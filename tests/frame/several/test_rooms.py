@@ -67,7 +67,7 @@ def test_it_becomes_final_and_is_what_paths_say(kind: str, tmp_path: Path) -> No
     frame = lit(bench, view)
     assert frame.quality.waiting == 0
     assert (frame.state[first.state > 0] == FINAL).all()
-    assert frame.final or frame.quality.given_up
+    assert frame.final or frame.given_up
     traced = drawn(bench, replace(view, shading="path_traced", samples=256))
     assert relative_rmse(frame, traced) < 1.5 * LOOSE
     on = frame.state > 0

@@ -136,7 +136,7 @@ def test_projected_texels_have_a_bake_and_a_time_left(engine: RenderEngine, scen
     name = scene.id
     target = scene.target_error
     while (frame := engine.survey(name, view, target)).stages[0].shown is None:
-        assert engine.lacking(name, frame)[0] == name and frame.stages[0].target >= target
+        assert engine.lacking(name, frame)[0] == name and frame.stages[0].goal.error >= target
         engine.want(name, frame, target, GUEST_VIEWER)
         time.sleep(0.01)
     bake, stage = engine.lacking(name, frame)
