@@ -327,7 +327,7 @@ class Baker:
             # Sum up the processor seconds of open requests and of later stages.
             work = [Work(each.key[1], each.effort, each.target, each.enough) for each in open_now]
             work += [
-                Work(each.index, each.effort, stage.target, stage.enough)
+                Work(each.index, each.effort, *stage.goal)
                 for stage in later
                 for each in stage.demands
             ]
