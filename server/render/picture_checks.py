@@ -20,8 +20,8 @@ CHECK: Index = (-1, -1, -1)
 MAX_WAITING_PICTURES = 64
 """Pictures that wait for their check at most. If there are more, the oldest request is dropped."""
 
-PATIENCE = 2.0
-"""Seconds for which a picture with a part of its light waits for the rest before control pixels
+LIGHT_PATIENCE_SECONDS = 2.0
+"""Time for which a picture with a part of its light waits for the rest before control pixels
 measure it as it is: their paths would take processors from workers, and delay the whole picture.
 """
 

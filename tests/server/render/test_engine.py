@@ -39,7 +39,7 @@ from isogi_core.storage.backend import StoreUrl
 from server.cli.render import draw_refined
 from server.render.engine import RenderEngine
 from server.render.loaded_scene import next_values
-from server.render.picture_checks import CHECK, PATIENCE
+from server.render.picture_checks import CHECK, LIGHT_PATIENCE_SECONDS
 from server.render.stores import StoreProbe, whereabouts
 from tests.scale import COMPILED
 from tests.server.buckets import Begin
@@ -147,7 +147,7 @@ def test_a_picture_is_measured_early_only_if_light_takes_long(
     # A store that takes nothing gets no more light: what there is is measured at once.
     monkeypatch.setattr(engine.store, "only_read", lambda: True)
     assert engine.want(scene, part, 0.3, GUEST_VIEWER) == {CHECK}
-    assert delays == [PATIENCE, 0.0]
+    assert delays == [LIGHT_PATIENCE_SECONDS, 0.0]
 
 
 def test_workers_come_after_the_start(begin: Begin, monkeypatch: pytest.MonkeyPatch) -> None:
