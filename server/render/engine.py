@@ -41,7 +41,7 @@ from server.render.bakes import (
 )
 from server.render.engine_workers import EngineWorkers, scheduler_of
 from server.render.loaded_scene import LoadedScene, LoadedScenes, load_scene_parts, shared
-from server.render.picture_checks import CHECK, PictureChecks
+from server.render.picture_checks import CHECK, LIGHT_PATIENCE_SECONDS, PictureChecks
 from server.render.scene_kernels import SceneKernels
 from server.render.scene_variant import SceneVariant
 from server.render.stores import root_of, whereabouts
@@ -376,7 +376,10 @@ class RenderEngine:
         """
         checking = frozenset({CHECK} if frame.refinable else ())
         if checking:
-            self._checks.request(scene, frame.view, target, viewer)
+            # A picture with a part of its light is measured only if the rest takes its time.
+            waits = frame.unmeasured and not self.store.only_read()
+            delay = LIGHT_PATIENCE_SECONDS if waits else 0.0
+            self._checks.request(scene, frame.view, target, viewer, delay)
         else:
             self._checks.leave(viewer)
         # A picture that is checked needs no texels now, and a store that is only read takes none.

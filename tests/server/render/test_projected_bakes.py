@@ -2,7 +2,9 @@
 rest have them.
 """
 
+import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -72,6 +74,72 @@ def test_a_bake_is_made_once_and_the_oldest_is_forgotten(monkeypatch: pytest.Mon
     assert (bakes.scene(first), bakes.scene(third), bakes.scene("b")) == ("a", "a", "b")
     bakes.forget("a")
     assert not baker.bakes and bakes.scene(first) == first
+
+
+def test_who_waits_for_a_bake_that_is_dropped_hears_of_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The baker says what it drops by the name of the bake: requests wait by that of the scene."""
+    monkeypatch.setattr(room, "MAX_BAKES", 1)
+    monkeypatch.setattr(room, "trim_projected", lambda store, most: 0)
+    heard: list[str] = []
+
+    class TellingBaker(FakeBaker):
+        def forget(self, name: str) -> None:
+            super().forget(name)
+            heard.append(bakes.scene(name))
+
+    baker: Any = TellingBaker()
+    bakes = SideBakes(baker, Store("memory://projected"), 0)
+    for scene in ("a", "b"):
+        last = bakes.name(scene, 0.25, 0, lambda: None)  # type: ignore[arg-type, return-value]
+    assert heard == ["a"]
+    bakes.forget("b")
+    assert heard == ["a", "b"] and bakes.scene(last) == last
+
+
+def test_a_bake_that_leaves_is_gone_before_it_comes_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(room, "trim_projected", lambda store, most: 0)
+    begun = threading.Event()
+    go_on = threading.Event()
+
+    class SlowBaker(FakeBaker):
+        def forget(self, name: str) -> None:
+            begun.set()
+            assert go_on.wait(LONG)
+            super().forget(name)
+
+    baker: Any = SlowBaker()
+    bakes = SideBakes(baker, Store("memory://projected"), 0)
+
+    def ask() -> str:
+        return bakes.name("a", 0.25, 0, lambda: None)  # type: ignore[arg-type, return-value]
+
+    name = ask()
+    with ThreadPoolExecutor(2) as threads:
+        forgetting = threads.submit(bakes.forget, "a")
+        assert begun.wait(LONG)
+        asking = threads.submit(ask)
+        go_on.set()
+        forgetting.result(LONG)
+        assert asking.result(LONG) == name
+    assert list(baker.bakes) == [name]
+
+
+def test_few_isovalues_of_lit_walls_are_remembered(monkeypatch: pytest.MonkeyPatch) -> None:
+    baker: Any = FakeBaker()
+    trimmed = []
+    monkeypatch.setattr(room, "MAX_LIT", 2)
+    monkeypatch.setattr(room, "trim_projected", lambda *given: trimmed.append(given))
+    bakes = SideBakes(baker, Store("memory://projected"), 0)
+    for isovalue in (0.1, 0.2, 0.1, 0.3, 0.1, 0.2):
+        bakes.lit("a", isovalue)
+        bakes.settle()
+    assert len(trimmed) == 4, "0.2 was forgotten, and 0.1 not, as it was lit again"
+    bakes.forget("a")
+    bakes.lit("a", 0.1)
+    bakes.settle()
+    assert len(trimmed) == 5
 
 
 def test_the_caches_that_asked_last_hear_of_new_light(
