@@ -144,6 +144,7 @@ WRONG_SUFFIXES = {
     ".stl": MESH_HINT,
     ".obj": MESH_HINT,
     ".ply": MESH_HINT,
+    ".frmsf": "a Fermi surface of FermiSurfer: write the bands as BXSF",
     ".aim": SCANNER_HINT.format("Scanco AIM"),
     ".raw": BARE_VOXELS_HINT,
     ".bin": BARE_VOXELS_HINT,
