@@ -416,7 +416,7 @@ def test_fields_of_a_group_are_named(tmp_path: Path) -> None:
     group = zarr.open_group(tmp_path / "v.zarr", mode="r+")
     more = group.create_array("ua", data=field)
     more.attrs["_ARRAY_DIMENSIONS"] = ["time", "lev", "lat", "lon"]
-    with pytest.raises(VolumeError, match="several fields: choose of '.*/ps', '.*/ta', '.*/ua'"):
+    with pytest.raises(VolumeError, match=r"several fields: choose of '.*/ps', '.*/ta', '.*/ua'"):
         open_zarr(tmp_path / "v.zarr")
 
 
