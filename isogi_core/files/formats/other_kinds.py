@@ -160,7 +160,7 @@ def hint_of(head: Head) -> str:
     nothing.
     """
     for kind in OTHER_KINDS:
-        if kind.begins(head.content) and (not kind.both or head.suffix in kind.suffixes):
+        if kind.is_of(head.content, head.suffix):
             return kind.hint
     return ""
 
