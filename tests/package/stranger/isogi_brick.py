@@ -18,8 +18,6 @@ from isogi.plugins import (
 
 READERS = [Kind("brick", marked(b"BRICK1 "), (".brick",), reader="isogi_brick:open_brick")]
 
-WRITERS = [Writer(".points.json", "isogi_brick:points_of", vertex_bytes=90)]
-
 
 @reader("brick")
 def open_brick(source: Source) -> Grid:
@@ -42,3 +40,6 @@ def points_of(mesh: LitMesh) -> bytes:
     """Encode the places of a mesh and their light, a line each."""
     rows = np.column_stack([mesh.vertices, mesh.colours]).round(6).tolist()
     return "\n".join(json.dumps(row) for row in rows).encode()
+
+
+WRITERS = [Writer(".points.json", "isogi_brick:points_of", vertex_bytes=90)]
