@@ -58,6 +58,7 @@ def test_a_strangers_reader_says_what_is_wrong(tmp_path: Path) -> None:
         open_file(tmp_path / "f.brick", {})
 
 
+@pytest.mark.light
 @pytest.mark.usefixtures("stranger")
 def test_a_stranger_works_on_the_command_line(tmp_path: Path) -> None:
     (tmp_path / "f.brick").write_bytes(brick(ball()))
