@@ -3,11 +3,12 @@ makes, to a confined reader.
 """
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import httpx
 import pytest
 
-from tests.package.strangers import STRANGER, ball, brick, installed
+from tests.package.strangers import STRANGER, ball, brick, installed, write_package
 from tests.server.asking import final
 from tests.server.uploads.site import Site
 
@@ -28,6 +29,17 @@ def post(site: Site) -> httpx.Response:
 def test_a_brick_is_refused_without_the_package(site: Site) -> None:
     answer = post(site)
     assert answer.status_code == 422 and "no volume that is known" in answer.json()["detail"]
+
+
+def test_a_module_that_fails_to_load_breaks_no_upload(site: Site, tmp_path: Path) -> None:
+    code = "from isogi.plugins import *\nK = Kind('abc', suffixes=('.abc',), reader='inner:f')\n"
+    place = write_package(tmp_path, "torn", code, "isogi.readers", "torn:K")
+    (place / "inner.py").write_text("{}['a']\n")
+    with installed(place, STRANGER):
+        assert post(site).raise_for_status().json()["size"] == [16, 16, 16]
+        answer = site.client.post("/v1/volumes", params={"name": "f.abc"}, content=b"123")
+        assert answer.status_code == 422
+        assert "cannot be read as abc by the plug-in torn (" in answer.json()["detail"]
 
 
 @pytest.mark.slow
