@@ -6,7 +6,7 @@ ISOGI_SHARED_DATA ?= ../shared/data
 TESTS ?=
 
 # What README and docs use, and what files of other fields need: all of it is in the environment.
-EXTRAS := --extra formats --extra report --extra s3 --extra client --extra film
+EXTRAS := --extra formats --extra report --extra s3 --extra client --extra film --extra fits
 
 # Every process would compile all modules anew: a server with two workers starts three times as fast without it.
 unexport PYTHONDONTWRITEBYTECODE

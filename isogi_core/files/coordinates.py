@@ -28,7 +28,7 @@ NAMES = {
         *("z", "lev", "level", "depth", "height", "altitude", "alt", "plev", "elevation", "nz"),
         *("isobaric", "pressure", "air_pressure", "zc", "deptht", "st_ocean"),
     ),
-    "t": ("t", "time"),
+    "t": ("t", "time", "valid_time", "date", "year", "month", "day", "hour"),
     "c": ("c", "channel", "channels", "ch", "band"),
 }
 """Names of dimensions, and of CF's standard names, that say which axis they are."""

@@ -9,7 +9,6 @@ import io
 import json
 import struct
 import zipfile
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,7 @@ from isogi_core.errors import VolumeError
 from isogi_core.files.formats.source import library
 from isogi_core.files.grid import srgb_bytes
 from isogi_core.files.ome import UNIT_WORDS
-from isogi_core.storage.atomic_file import whole_folder, write_whole
+from isogi_core.storage.atomic_file import whole_folder
 
 
 @dataclass(frozen=True, eq=False)
@@ -552,16 +551,6 @@ def straightened(
             origin += matrix[:, column] * (block.shape[2 - column] - 1)
     turned = block.transpose(*(2 - order[axis] for axis in (2, 1, 0)), 3)
     return turned, [float(steps[each]) for each in order], [float(each) for each in origin]
-
-
-Write = Callable[[Path, LitVolume], None]
-WRITERS: dict[str, Write] = {
-    ".vti": lambda path, lit: write_whole(path, vti_bytes(lit)),
-    ".nrrd": lambda path, lit: write_whole(path, nrrd_bytes(lit)),
-    ".nii.gz": lambda path, lit: write_whole(path, nifti_bytes(lit)),
-    ".zarr": write_zarr,
-}
-"""What writes a volume, by the ending of its file's name."""
 
 
 def _light_numbers(values: np.ndarray) -> str:

@@ -142,7 +142,7 @@ def reason_of(error: OSError) -> str:
     return error.strerror or os.strerror(error.errno or errno.EIO)
 
 
-def line_of(error: Exception) -> str:
+def line_of(error: BaseException) -> str:
     """An error's type and message, on one short line."""
     message = " ".join(str(error).split())
     if message:

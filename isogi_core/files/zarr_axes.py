@@ -11,6 +11,7 @@ import zarr
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.coordinates import Along, along, role_of
+from isogi_core.files.formats.source import LAYERED, TIME_STEPS
 from isogi_core.files.ome import SPACE_AXES
 
 ASSUMED_AXES = {3: "zyx", 4: "czyx", 5: "tczyx"}
@@ -30,9 +31,10 @@ NONE: Held = ({}, None)
 
 def named_axes(
     array: "zarr.Array[Any]", open_at: Open
-) -> tuple[tuple[str, ...], tuple[Along | None, ...]]:
+) -> tuple[tuple[str, ...], tuple[Along | None, ...], tuple[str, ...]]:
     """Name the dimensions of an array as x, y, z, t and c, as they are called, else by their
-    number; with the coordinates along x, y, z, none if the names are not these.
+    number; with the coordinates along x, y, z, none if the names are not these; and with notes on
+    time that is shown as depth, and on coordinates that are not as many as their axis has.
     """
     found, held = _roles(array, open_at)
     if all(found) and len(set(found)) == len(found) and set(SPACE_AXES) <= set(found):
@@ -40,9 +42,12 @@ def named_axes(
     else:
         names = _names(array) or tuple(ASSUMED_AXES.get(array.ndim, ""))
     if not set(SPACE_AXES) <= set(names) or len(names) != array.ndim:
-        return names, ()
+        return names, (), ()
     places = [names.index(axis) for axis in SPACE_AXES]
-    return names, tuple(_along(*held[place], array.shape[place]) for place in places)
+    notes = tuple(_amiss(*held[place], array.shape[place]) for place in places)
+    film = (LAYERED.format(what=TIME_STEPS),) if "t" in found and "t" not in names else ()
+    scales = tuple(_along(*held[place], array.shape[place]) for place in places)
+    return names, scales, (*film, *filter(None, notes))
 
 
 def is_in_space(array: "zarr.Array[Any]", open_at: Open) -> bool:
@@ -55,6 +60,14 @@ def _along(attributes: dict[str, Any], values: Any, length: int) -> Along | None
     if values is None or values.shape != (length,):
         return None
     return along(np.asarray(values[:]), attributes)
+
+
+def _amiss(attributes: dict[str, Any], values: Any, length: int) -> str:
+    """Say that the coordinates of an axis are not as many as it has; empty if they are."""
+    if values is None or values.shape == (length,):
+        return ""
+    given = f"'{PurePath(values.path).name}' has {values.size} coordinates for {length} voxels"
+    return f"{given}: they are left out."
 
 
 def _given_names(array: "zarr.Array[Any]") -> tuple[str, ...]:

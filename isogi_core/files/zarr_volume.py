@@ -6,7 +6,7 @@ import hashlib
 import math
 import os
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path, PurePath
@@ -410,9 +410,12 @@ def find_array(path: Path | str, level: int | None) -> FoundArray:
         else:
             chosen = None
         if chosen is None and not image and level is None:
-            only = _only_field(path, among, node, inside)
+            fields = _fields(path, among, node, inside)
+            only = _only_field(path, among, fields)
             if only is not None:
                 return replace(only, notes=(*notes, *only.notes))
+            if fields:
+                raise VolumeError(_several_fields(path, fields))
         if chosen is None:
             raise VolumeError(_no_array(path, node, image, level))
         array = _open(path, among, f"{inside}/{chosen}".strip("/"))
@@ -458,10 +461,15 @@ def _no_array(
         ", ".join(f"'{PurePath(path).name}/{name}'" for name in _members(group))
         or "nothing that it lists"
     )
-    return f"'{path}' is a Zarr group and no image: it holds {names}; name an array, or an image."
+    held = f"'{path}' is a Zarr group and no image: it holds {names}"
+    return f"{held}; give an array of three axes or more, or an image."
 
 
-def _members(group: zarr.Group, most: int = 8) -> list[str]:
+MOST_NAMED = 8
+"""Members of a group that a message names."""
+
+
+def _members(group: zarr.Group, most: int = MOST_NAMED) -> list[str]:
     """Name some members of a group; none if it cannot be listed, as over plain HTTP."""
     try:
         return sorted(group.keys())[:most]
@@ -492,35 +500,49 @@ def _with_axes(
     """The array with its axes: those of the image, else by their names, else by their number."""
     placed = given is not None and given.matrix is not None
     scales: tuple[Along | None, ...] = ()
+    notes: tuple[str, ...] = ()
     if given is not None and placed:
         axes = array_axes(given)
     else:
-        names, scales = named_axes(array, partial(_open, path, among))
+        names, scales, notes = named_axes(array, partial(_open, path, among))
         axes = tuple(map(Axis, names))
     if len(axes) != array.ndim:
         raise VolumeError(
             f"'{path}' has {array.ndim} dimensions and {len(axes)} axes: choose one scalar "
             "field of it."
         )
-    return FoundArray(among, array, axes, given if placed else None, scales=scales)
+    return FoundArray(among, array, axes, given if placed else None, notes=notes, scales=scales)
 
 
-def _only_field(
+def _fields(
     path: Path | str, among: Hierarchy, group: zarr.Group, inside: str
-) -> FoundArray | None:
-    """Find the array that a group without an image means: the only one of three dimensions or more,
-    else the only one whose axes are x, y and z; None if there is no such one.
-    """
+) -> list["zarr.Array[Any]"]:
+    """Find the arrays of three dimensions or more in a group."""
     members = [
         _open(path, among, f"{inside}/{name}".strip("/")) for name in _members(group, MOST_FIELDS)
     ]
-    fields = [each for each in members if isinstance(each, zarr.Array) and each.ndim >= 3]
+    return [each for each in members if isinstance(each, zarr.Array) and each.ndim >= 3]
+
+
+def _only_field(
+    path: Path | str, among: Hierarchy, fields: Sequence["zarr.Array[Any]"]
+) -> FoundArray | None:
+    """Find the array that a group without an image means: the only one of its ``fields``, else the
+    only one whose axes are x, y and z; None if there is no such one.
+    """
     if len(fields) > 1:
         fields = [each for each in fields if is_in_space(each, partial(_open, path, among))]
     if len(fields) != 1:
         return None
     note = f"The only field of the group is shown: '{PurePath(fields[0].path).name}'."
-    return replace(_with_axes(path, among, fields[0], None), notes=(note,))
+    found = _with_axes(path, among, fields[0], None)
+    return replace(found, notes=(note, *found.notes))
+
+
+def _several_fields(path: Path | str, fields: Sequence["zarr.Array[Any]"]) -> str:
+    """The message for a group of which no field is chosen."""
+    names = [f"'{path}/{PurePath(each.path).name}'" for each in fields[:MOST_NAMED]]
+    return f"'{path}' holds several fields: choose of {', '.join(names)}."
 
 
 MOST_FIELDS = 64

@@ -13,7 +13,6 @@ from typing import TypeVar
 from uuid import NAMESPACE_URL, uuid5
 
 from isogi_core.bake.texel_light import FIRST_LEVEL
-from isogi_core.files.light_files import WRITERS
 from isogi_core.files.spelling import shortest
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
@@ -28,6 +27,7 @@ from server.exports.lit_files import (
     check_lattice,
     coefficient_count,
     expected_bytes,
+    is_of_volume,
     no_surface,
     places_to_light,
     write_lit,
@@ -67,13 +67,13 @@ def begin(
     job is returned, also if it has ended. Raises BusyError, ViewError, SceneError if the scene does
     not fit the format, and ForbiddenError for a volume if the server does not hand out voxels.
     """
-    # The formats of WRITERS hold the whole lattice, the others only a mesh of the surface.
-    if f".{params.f}" in WRITERS and not service.settings.hands_out_voxels:
+    # Some formats hold the whole lattice, the others only a mesh of the surface.
+    if is_of_volume(f".{params.f}") and not service.settings.hands_out_voxels:
         raise ForbiddenError(VOLUMES_WITHHELD)
     # Find errors now, so that the request is refused and no job fails later.
     view = view_of(scene, params.view, service.settings)
     scene.require_texels()
-    if f".{params.f}" in WRITERS:
+    if is_of_volume(f".{params.f}"):
         check_lattice(scene)
     if params.coefficients == "on":
         check_coefficients(scene, f".{params.f}")

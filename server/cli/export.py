@@ -12,7 +12,7 @@ from typing import Any
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import ViewError
-from isogi_core.files.light_files import WRITERS, check_zarr
+from isogi_core.files.light_files import check_zarr
 from isogi_core.files.ome import size_of, write_image
 from isogi_core.files.scene_file import Settings as SceneSettings
 from isogi_core.files.scene_file import Target, find_source
@@ -29,14 +29,15 @@ from server.cli.prewarm import order_of, prewarm_scene
 from server.cli.publish import values_in
 from server.errors import ParameterError
 from server.exports.lit_files import (
-    MESHES,
     Lit,
     check_coefficients,
     check_lattice,
     checked_suffix,
+    is_of_volume,
     places_to_light,
     suffix_of,
     write_lit,
+    writers,
 )
 from server.parameters import ANGLES, ViewParams, read
 from server.prewarm.order import Levels, levels_of
@@ -72,7 +73,8 @@ def export(
     """
     suffix = checked_suffix(request.output)
     # Light that is not rotated needs one number per texel instead of harmonics.
-    still = suffix in WRITERS and not knobs.keys() & {*ANGLES, "light"} and not request.coefficients
+    turned = knobs.keys() & {*ANGLES, "light"}
+    still = is_of_volume(suffix) and not turned and not request.coefficients
     scene = open_scene(target, settings, **({"rotating": False} if still else {}))
     files = files_of(request.output, knobs)
     check_levels(scene, request, files)
@@ -147,15 +149,13 @@ def check_levels(scene: Scene, request: ExportRequest, files: Iterable[Path]) ->
     """
     scene.require_texels()
     suffix = suffix_of(request.output)
-    if suffix in MESHES and (
-        len(request.isovalues) > 1 or any(":" in text for text in request.isovalues)
-    ):
-        raise ViewError(
-            "A mesh is of one isovalue: give --isovalue once, or write a volume: "
-            f"{', '.join(WRITERS)}."
-        )
-    if suffix in WRITERS:
+    if is_of_volume(suffix):
         check_lattice(scene)
+    elif len(request.isovalues) > 1 or any(":" in text for text in request.isovalues):
+        volumes = ", ".join(suffix for suffix in writers() if is_of_volume(suffix))
+        raise ViewError(
+            f"A mesh is of one isovalue: give --isovalue once, or write a volume: {volumes}."
+        )
     # OME-Zarr holds no rotation, and a folder that exists is not overwritten.
     if suffix == ".zarr":
         for path in files:

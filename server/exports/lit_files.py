@@ -1,5 +1,5 @@
 """Files of isosurfaces and volumes with their light, in formats of other tools, chosen by the
-suffix.
+suffix from a table that plug-ins add to.
 
 A volume may also hold the factors of its light: transfer coefficients, and those of the rotated
 environment.
@@ -7,26 +7,25 @@ environment.
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 
 from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.cache.scene_caches import Caches
-from isogi_core.errors import SceneError, ViewError
+from isogi_core.errors import IsogiError, SceneError, ViewError
 from isogi_core.files.grid import srgb_bytes
 from isogi_core.files.light_files import (
-    WRITERS,
     LitMesh,
     LitVolume,
-    glb_bytes,
     light_texture,
     nibabel,
-    obj_bytes,
-    ply_bytes,
     usd_layer,
     usdz_package,
 )
+from isogi_core.files.packed_files import line_of
+from isogi_core.files.plugins import LOAD_FAULTS, WRITER_GROUP, Plugins, Writer, plugins
 from isogi_core.files.spelling import shortest
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.lighting import RotatedLight
@@ -54,20 +53,45 @@ def usdz_bytes(mesh: LitMesh) -> bytes:
     return usdz_package({"isosurface.usda": usd_layer(mesh, TEXTURE), TEXTURE: texture})
 
 
-MESHES: dict[str, Callable[[LitMesh], bytes]] = {
-    ".ply": ply_bytes,
-    ".glb": glb_bytes,
-    ".obj": obj_bytes,
-    ".usdz": usdz_bytes,
-}
-"""Functions that encode a mesh, by suffix."""
+LIGHT_FILES = "isogi_core.files.light_files"
+
+WRITERS: tuple[Writer, ...] = (
+    Writer(".ply", f"{LIGHT_FILES}:ply_bytes", vertex_bytes=53),
+    Writer(".glb", f"{LIGHT_FILES}:glb_bytes", vertex_bytes=60),
+    Writer(".obj", f"{LIGHT_FILES}:obj_bytes", vertex_bytes=190),
+    Writer(".usdz", "server.exports.lit_files:usdz_bytes", vertex_bytes=130),
+    Writer(VTI, f"{LIGHT_FILES}:vti_bytes", of_volume=True),
+    Writer(".nrrd", f"{LIGHT_FILES}:nrrd_bytes", of_volume=True),
+    Writer(".nii.gz", f"{LIGHT_FILES}:nifti_bytes", of_volume=True),
+    Writer(".zarr", f"{LIGHT_FILES}:write_zarr", of_volume=True, is_folder=True),
+)
+"""Kinds of files that isogi writes."""
+
+
+def writer_plugins() -> Plugins:
+    """Find the kinds of files that other packages write."""
+    return plugins(WRITER_GROUP, Writer)
+
+
+@cache
+def writers() -> dict[str, Writer]:
+    """Return all kinds of files that can be written, by suffix: isogi's, then those of plug-ins
+    for other suffixes.
+    """
+    found = {each.suffix: each for each in WRITERS}
+    for plugin in writer_plugins().found:
+        found.setdefault(plugin.record.suffix, replace(plugin.record, package=plugin.package))
+    return found
 
 
 def suffix_of(output: Path) -> str:
     """Return the suffix of a known file format; empty for others."""
-    return next(
-        (suffix for suffix in (*MESHES, *WRITERS) if output.name.lower().endswith(suffix)), ""
-    )
+    return next((suffix for suffix in writers() if output.name.lower().endswith(suffix)), "")
+
+
+def is_of_volume(suffix: str) -> bool:
+    """Return True if files of a known format hold the values of all voxels, and no mesh."""
+    return writers()[suffix].of_volume
 
 
 def checked_suffix(output: Path) -> str:
@@ -76,12 +100,40 @@ def checked_suffix(output: Path) -> str:
     """
     suffix = suffix_of(output)
     if not suffix:
-        known = ", ".join((*MESHES, *WRITERS))
-        raise ViewError(f"{output} names no kind of file that light goes into: end it in {known}.")
+        known = f"end it in {', '.join(writers())}."
+        said = f"{output} names no kind of file that light goes into: {known}"
+        raise ViewError(" ".join([said, *writer_plugins().faults]))
     check_folder(output)
     if suffix == ".nii.gz":
         nibabel()
     return suffix
+
+
+def write_file(output: Path, lit: LitMesh | LitVolume) -> None:
+    """Write a mesh or a volume with its light, as a file of the kind that its suffix names. Raises
+    ViewError, which names the package, for whatever goes wrong in a plug-in.
+    """
+    writer = writers()[suffix_of(output)]
+    if not writer.package:
+        encode = writer.open()
+        if writer.is_folder:
+            encode(output, lit)
+        else:
+            write_whole(output, encode(lit))
+        return
+    fault = f"{output} cannot be written by the plug-in {writer.package}"
+    way_out = "update that package, or tell its authors."
+    try:
+        written = writer.open()(output, lit) if writer.is_folder else writer.open()(lit)
+    except (IsogiError, MemoryError):
+        raise
+    except LOAD_FAULTS as error:
+        raise ViewError(f"{fault} ({line_of(error)}): {way_out}") from error
+    if writer.is_folder:
+        return
+    if not isinstance(written, bytes):
+        raise ViewError(f"{fault} (it gives {type(written).__name__}, not bytes): {way_out}")
+    write_whole(output, written)
 
 
 def check_coefficients(scene: Scene, suffix: str) -> None:
@@ -124,9 +176,9 @@ def places_to_light(renderer: Renderer, suffix: str, spans: Spans) -> Lit:
     """Return the places whose light a file of this format holds, for isovalues in ``spans``.
     Raises ViewError if a mesh is empty.
     """
-    if suffix in MESHES:
-        return surface_mesh(renderer, spans[0][0])
-    return lit_voxels(renderer, spans)
+    if is_of_volume(suffix):
+        return lit_voxels(renderer, spans)
+    return surface_mesh(renderer, spans[0][0])
 
 
 def write_lit(
@@ -144,12 +196,11 @@ def write_lit(
     A volume also gets the ``coefficients`` of its light if that is set. Raises VolumeError and
     OSError.
     """
-    suffix = suffix_of(output)
     if isinstance(places, Mesh):
-        write_whole(output, MESHES[suffix](lit_mesh(renderer, view, places, exposure, report)))
-    else:
-        lit = lit_volume(renderer, view, places, exposure, report, coefficients)
-        WRITERS[suffix](output, with_colour(lit) if suffix == VTI else lit)
+        write_file(output, lit_mesh(renderer, view, places, exposure, report))
+        return
+    lit = lit_volume(renderer, view, places, exposure, report, coefficients)
+    write_file(output, with_colour(lit) if suffix_of(output) == VTI else lit)
 
 
 def surface_mesh(renderer: Renderer, isovalue: float) -> Mesh:
@@ -253,9 +304,6 @@ def lit_pieces(
         yield rows, frame, normals
 
 
-SIZES = {".ply": 53, ".glb": 60, ".usdz": 130, ".obj": 190}
-"""Bytes of a mesh's file for each vertex and its face, about."""
-
 FILE_BYTES_PER_VOXEL = 19
 FILE_BYTES_PER_NUMBER = 4
 """Bytes of a volume's file for each voxel, at most: value, light and colour; and for each
@@ -268,9 +316,10 @@ def expected_bytes(prepared: PreparedScene, isovalue: float, suffix: str, number
     further numbers per voxel.
     """
     volume = prepared.scene.volume
-    if suffix in WRITERS:
+    if is_of_volume(suffix):
         return (FILE_BYTES_PER_VOXEL + FILE_BYTES_PER_NUMBER * numbers) * volume.voxels.size
-    return SIZES[suffix] * vertex_count(volume.voxels, prepared.surface(isovalue).isovalue)
+    vertices = vertex_count(volume.voxels, prepared.surface(isovalue).isovalue)
+    return writers()[suffix].vertex_bytes * vertices
 
 
 LIGHT_KIND_WORDS = {"direct": "direct", "indirect": "reflected"}

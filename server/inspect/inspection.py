@@ -404,10 +404,10 @@ def rounded(value: float, span: float) -> float:
     """A value with no more digits than tell a ten-thousandth of a ``span``, so that it is short to
     type.
     """
-    step = 10.0 ** math.floor(math.log10(span / 1e4)) if 0.0 < span < math.inf else 0.0
-    if not step:
+    if not 0.0 < span < math.inf:
         return value
-    return float(f"{round(value / step) * step:.15g}")
+    # Python's rounding to decimals is exact, also far from 0, where a quotient has no such digits.
+    return round(value, -math.floor(math.log10(span) - 4.0))
 
 
 def surface_schema(scene: Scene, found: Stiffness, isovalue: float, place: int) -> SurfaceSchema:

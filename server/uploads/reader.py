@@ -27,6 +27,7 @@ import numpy as np
 from isogi_core.errors import LightError, VolumeError
 from isogi_core.files.formats.opening import HEAD_BYTES, libraries_for, open_upload
 from isogi_core.files.grid import Grid, on_right_angles
+from isogi_core.files.plugins import LOAD_FAULTS
 from isogi_core.model.environment import resample
 from isogi_core.model.value_survey import survey
 from isogi_core.plan.volumes.labels import Segmentation
@@ -112,7 +113,8 @@ def rehearse(head: bytes) -> None:
     survey(Grid.of(np.array([0.0, 1.0, np.nan, 1e30] * 2).reshape(2, 2, 2)), "above")
     resample(np.ones((4, 8, 3)), 2, 4)
     for name in libraries_for(head):
-        with contextlib.suppress(ImportError):
+        # What fails to load, such as a plug-in's module, may belong to another kind.
+        with contextlib.suppress(*LOAD_FAULTS):
             import_module(name)
 
 

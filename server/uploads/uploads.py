@@ -20,6 +20,7 @@ from fastapi import Request
 from starlette.requests import ClientDisconnect
 
 from isogi_core.errors import Cancelled, IsogiError, VolumeError
+from isogi_core.files.formats.kinds import reader_plugins
 from isogi_core.files.scene_file import SceneSource
 from isogi_core.model.lights import ENVIRONMENTS
 from isogi_core.plan.assembly import build_scene
@@ -72,6 +73,13 @@ READER_ENVIRONMENT = {
 }
 """The environment of a reader: nothing of the server's, such as tokens or keys, is in it."""
 
+
+def reader_environment() -> dict[str, str]:
+    """Return the environment of a reader, in which Python finds plug-ins where the server does."""
+    roots = [PYTHON_ROOT, *(each.folder for each in reader_plugins().found)]
+    return {**READER_ENVIRONMENT, "PYTHONPATH": os.pathsep.join(dict.fromkeys(map(str, roots)))}
+
+
 LIMITS_EXCEEDED = (
     "The file takes more time or memory to read than it may: save it raw, or a smaller part."
 )
@@ -115,7 +123,7 @@ class Reader:
             stderr=DEVNULL,
             pass_fds=files,
             cwd="/",
-            env=READER_ENVIRONMENT,
+            env=reader_environment(),
         )
         try:
             yield cls(process, upload)

@@ -194,6 +194,12 @@ def test_the_stamp_tells_when_anything_was_written(tmp_path: Path) -> None:
     assert grid.stamp() != before
 
 
+def flat_group(path: Path) -> None:
+    group = zarr.open_group(path, mode="w")
+    for name in "ab":
+        group.create_array(name, data=FIELD[0])
+
+
 def bad_group(path: Path) -> None:
     save(path / "inner", FIELD)
     save(path / "other", FIELD)
@@ -245,7 +251,8 @@ def huge(path: Path) -> None:
     [
         (lambda path: None, "There is no Zarr array"),
         (lambda path: path.mkdir(), "holds no Zarr array"),
-        (bad_group, r"is a Zarr group and no image: it holds 'v.zarr/inner', 'v.zarr/other'"),
+        (bad_group, r"holds several fields: choose of '.*v.zarr/inner', '.*v.zarr/other'"),
+        (flat_group, r"is a Zarr group and no image: it holds 'v.zarr/a', 'v.zarr/b'; give an"),
         (bad_link, "is a link out of the volume's folder"),
         (bad_chunk, "are damaged"),
         (bad_codec, "cannot be read as Zarr .*nobodys"),
@@ -385,6 +392,32 @@ def test_coordinates_that_are_no_lengths_are_told(tmp_path: Path) -> None:
     assert tuple(grid.spacing) == (1.0, 1.0, 1.0) and grid.affine is not None
     np.testing.assert_array_equal(np.diag(grid.affine.array[:, :3]), (1.0, -1.0, 1.0))
     assert "cubes, as its axes are in degrees_east, degrees_north, m: #spacing=" in grid.notes[0]
+
+
+def test_coordinates_of_another_number_are_left_out(tmp_path: Path) -> None:
+    xarray_group(tmp_path / "v.zarr", {"units": "m"})
+    group = zarr.open_group(tmp_path / "v.zarr", mode="r+")
+    del group["lev"]
+    group.create_array("lev", data=np.arange(5.0)).attrs["positive"] = "down"
+    grid = open_zarr(tmp_path / "v.zarr" / "ta")
+    assert grid.notes[0] == "'lev' has 5 coordinates for 4 voxels: they are left out."
+    assert "cubes, as the file gives no coordinates along z" in grid.notes[1]
+
+
+def test_maps_in_time_of_xarray_are_layers(tmp_path: Path) -> None:
+    field = xarray_group(tmp_path / "v.zarr", {"units": "m"})
+    grid = open_zarr(tmp_path / "v.zarr" / "ps")
+    np.testing.assert_array_equal(grid.whole(), field[:, 0])
+    assert "Its planes are steps in time: they are shown as layers." in grid.notes
+
+
+def test_fields_of_a_group_are_named(tmp_path: Path) -> None:
+    field = xarray_group(tmp_path / "v.zarr", {"units": "m"})
+    group = zarr.open_group(tmp_path / "v.zarr", mode="r+")
+    more = group.create_array("ua", data=field)
+    more.attrs["_ARRAY_DIMENSIONS"] = ["time", "lev", "lat", "lon"]
+    with pytest.raises(VolumeError, match=r"several fields: choose of '.*/ps', '.*/ta', '.*/ua'"):
+        open_zarr(tmp_path / "v.zarr")
 
 
 def test_units_that_are_unknown_are_told(tmp_path: Path) -> None:

@@ -77,9 +77,13 @@ def _image(source: Source) -> Iterator[Any]:
         else:
             found = next(iter(cubes.values())) if len(cubes) == 1 else None
         if found is None:
+            if not cubes:
+                raise VolumeError(
+                    f"'{source.name}' holds tables or images of two axes alone: give a file with a "
+                    "cube."
+                )
             listed = ", ".join(f"'{source.name}#{n}' {unit.name}" for n, unit in cubes.items())
-            held = f"choose of {listed}" if cubes else "it has no image of three axes"
-            raise VolumeError(f"'{source.name}' holds no one cube: {held.strip()}.")
+            raise VolumeError(f"'{source.name}' holds no one cube: choose of {listed.strip()}.")
         yield found
 
 

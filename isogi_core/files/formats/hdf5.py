@@ -305,9 +305,11 @@ def unchosen(source: Source, names: Sequence[str]) -> VolumeError:
         wrong = f"'{source.name}' has no volume '{part}'"
     else:
         wrong = f"'{source.name}' holds several volumes"
-    return VolumeError(
-        f"{wrong}: choose of {listed}." if names else f"'{source.name}' holds no volume."
-    )
+    if not names:
+        return VolumeError(
+            f"'{source.name}' holds no dataset of three axes or more: give a file that has one."
+        )
+    return VolumeError(f"{wrong}: choose of {listed}.")
 
 
 def _climate(data: Any) -> dict[str, Any]:

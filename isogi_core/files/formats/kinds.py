@@ -1,14 +1,16 @@
 """Kinds of files: a table that tells each by how files begin, else by their name, and gives its
 reader, or says what a person can do where isogi has none.
 
-A new kind is a new row. Readers, and the libraries that they use, are loaded when a file needs
-them.
+A new kind is a new row, or a row of another package's plug-in. Readers, and the libraries that they
+use, are loaded when a file needs them.
 """
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
-from importlib import import_module
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cache
+from importlib.util import resolve_name
 from pathlib import PurePath
 from typing import NamedTuple
 
@@ -17,7 +19,11 @@ from isogi_core.files.formats.chemistry.opendx import is_dx
 from isogi_core.files.formats.chemistry.vasp import is_vasp
 from isogi_core.files.formats.chemistry.xsf import is_xsf
 from isogi_core.files.formats.source import Reader
-from isogi_core.files.packed_files import BZIP2_MAGIC, GZIP_MAGIC
+from isogi_core.files.packed_files import BZIP2_MAGIC, GZIP_MAGIC, line_of
+from isogi_core.files.plugins import READER_GROUP, Plugins, fault_of, named, plugins
+
+FOLDER = "isogi_core.files.formats"
+"""The package of isogi's readers."""
 
 HEAD_BYTES = 4096
 """Bytes at the beginning of a file by which its kind is told."""
@@ -62,9 +68,10 @@ class Kind:
 
     A file is of the kind if its content passes the test ``begins``; if ``both`` it must have one of
     the ``suffixes`` too, else one of these is enough for a file that no test knows. ``reader`` is
-    the function that opens files, ``module:function`` in this folder; ``unpacks`` says that it
-    reads files packed by gzip and bzip2. ``loads`` are the modules that it loads late. Kinds
-    without a reader have ``hint`` in its place: what the file seems to be, and what to do.
+    the function that opens files, ``module:function``, in this folder if it begins with a dot;
+    ``unpacks`` says that it reads files packed by gzip and bzip2. ``loads`` are the modules that it
+    loads late. Kinds without a reader have ``hint`` in its place: what the file seems to be, and
+    what to do. ``package`` is the one of a plug-in, empty for isogi's kinds.
     """
 
     name: str
@@ -75,17 +82,26 @@ class Kind:
     unpacks: bool = False
     loads: tuple[str, ...] = ()
     hint: str = ""
+    package: str = ""
+
+    def __post_init__(self) -> None:
+        """Raise TypeError for one suffix in place of several: its letters would be suffixes."""
+        if isinstance(self.suffixes, str):
+            raise TypeError(f"suffixes is a tuple of texts: give ('{self.suffixes}',)")
+
+    def is_of(self, content: bytes, suffix: str) -> bool:
+        """Tell whether a file is of the kind by how its content begins."""
+        return self.begins(content) and (not self.both or suffix in self.suffixes)
 
     def open(self) -> Reader:
         """Load the reader."""
-        module, _, function = self.reader.partition(":")
-        found: Reader = getattr(import_module(f"isogi_core.files.formats.{module}"), function)
+        found: Reader = named(self.reader, FOLDER)
         return found
 
     @property
     def modules(self) -> tuple[str, ...]:
         """Names of all modules that reading a file of the kind loads."""
-        return f"isogi_core.files.formats.{self.reader.partition(':')[0]}", *self.loads
+        return resolve_name(self.reader.partition(":")[0], FOLDER), *self.loads
 
 
 def marked(*marks: bytes, at: int = 0) -> Test:
@@ -195,17 +211,17 @@ VTK_MODULES = (
 HDF5_MODULES = ("h5py", "h5py._hl.dims", "h5py._hl.filters")
 
 READ_KINDS: tuple[Kind, ...] = (
-    Kind("NRRD", marked(b"NRRD"), (".nrrd", ".nhdr"), reader="nrrd:open_nrrd"),
-    Kind("NIfTI", is_nifti, reader="brain_files:open_nifti", unpacks=True, loads=("nibabel",)),
+    Kind("NRRD", marked(b"NRRD"), (".nrrd", ".nhdr"), reader=".nrrd:open_nrrd"),
+    Kind("NIfTI", is_nifti, reader=".brain_files:open_nifti", unpacks=True, loads=("nibabel",)),
     Kind(
-        "Analyze", is_analyze, reader="brain_files:open_analyze", unpacks=True, loads=("nibabel",)
+        "Analyze", is_analyze, reader=".brain_files:open_analyze", unpacks=True, loads=("nibabel",)
     ),
     Kind(
         "Analyze",
         has_analyze_size,
         (".hdr", ""),
         both=True,
-        reader="brain_files:open_analyze",
+        reader=".brain_files:open_analyze",
         unpacks=True,
         loads=("nibabel",),
     ),
@@ -214,7 +230,7 @@ READ_KINDS: tuple[Kind, ...] = (
         marked(b"\0\0\0\1"),
         (".mgh", ".mgz"),
         both=True,
-        reader="brain_files:open_mgh",
+        reader=".brain_files:open_mgh",
         unpacks=True,
         loads=("nibabel", "nibabel.freesurfer.mghformat"),
     ),
@@ -223,37 +239,37 @@ READ_KINDS: tuple[Kind, ...] = (
         matching(rb"type\s*=\s*\w+-attribute"),
         (".head",),
         both=True,
-        reader="brain_files:open_afni",
+        reader=".brain_files:open_afni",
     ),
     Kind(
         "PAR/REC",
         matching(rb"# === DATA DESCRIPTION FILE"),
         (".par",),
-        reader="scanner_files:open_parrec",
+        reader=".scanner_files:open_parrec",
     ),
     Kind(
         "ECAT",
         marked(b"MATRIX7"),
-        reader="scanner_files:open_ecat",
+        reader=".scanner_files:open_ecat",
         loads=("nibabel.ecat",),
     ),
     Kind(
         "DICOM",
         marked(b"DICM", at=128),
         (".dcm", ".ima"),
-        reader="dicom:open_dicom",
+        reader=".dicom:open_dicom",
         loads=DICOM_MODULES,
     ),
     Kind(
         "TIFF",
         marked(b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"),
-        reader="tiff:open_tiff",
+        reader=".tiff:open_tiff",
         loads=TIFF_MODULES,
     ),
     Kind(
         "MRC",
         marked(b"MAP", at=208),
-        reader="mrc:open_mrc",
+        reader=".mrc:open_mrc",
         unpacks=True,
         loads=("mrcfile.utils", "mrcfile.mrcinterpreter"),
     ),
@@ -262,92 +278,129 @@ READ_KINDS: tuple[Kind, ...] = (
         marked(b"CDF", HDF5_MAGIC),
         (".mnc",),
         both=True,
-        reader="brain_files:open_minc",
+        reader=".brain_files:open_minc",
         loads=(*HDF5_MODULES, "nibabel.minc2", "nibabel.externals.netcdf", "nibabel.minc1"),
     ),
-    Kind("HDF5", is_hdf5, reader="hdf5:open_hdf5", loads=HDF5_MODULES),
+    Kind("HDF5", is_hdf5, reader=".hdf5:open_hdf5", loads=HDF5_MODULES),
     Kind(
         "BigDataViewer's XML",
         xml_of(b"SpimData"),
-        reader="hdf5:open_bdv",
+        reader=".hdf5:open_bdv",
         loads=HDF5_MODULES,
     ),
     Kind(
         "XDMF",
         xml_of(b"Xdmf"),
         (".xdmf", ".xmf"),
-        reader="xdmf:open_xdmf",
+        reader=".xdmf:open_xdmf",
         loads=("xml.etree.ElementTree", *HDF5_MODULES),
     ),
     Kind(
         "NetCDF",
         marked(b"CDF\1", b"CDF\2", b"CDF\5"),
-        reader="hdf5:open_netcdf",
+        reader=".hdf5:open_netcdf",
         loads=("nibabel.externals.netcdf",),
     ),
     Kind(
         "FITS",
         matching(rb"SIMPLE  =\s+T"),
         (".fits", ".fit", ".fts"),
-        reader="fits:open_fits",
+        reader=".fits:open_fits",
         unpacks=True,
         loads=("astropy.io.fits",),
     ),
-    Kind("NumPy", marked(b"\x93NUMPY"), reader="array_files:open_numpy"),
+    Kind("NumPy", marked(b"\x93NUMPY"), reader=".array_files:open_numpy"),
     Kind(
-        "VTI", vtk_file(b"ImageData"), (".vti",), reader="image_files:open_vti", loads=VTK_MODULES
+        "VTI", vtk_file(b"ImageData"), (".vti",), reader=".image_files:open_vti", loads=VTK_MODULES
     ),
     Kind(
         "PVTI",
         vtk_file(b"PImageData"),
         (".pvti",),
-        reader="image_files:open_pvti",
+        reader=".image_files:open_pvti",
         loads=VTK_MODULES,
     ),
     Kind(
         "VTR",
         vtk_file(b"RectilinearGrid"),
         (".vtr",),
-        reader="image_files:open_vtr",
+        reader=".image_files:open_vtr",
         loads=VTK_MODULES,
     ),
     Kind(
         "MetaImage",
         matching(rb"(?:ObjectType|NDims|Comment)\s*="),
         (".mha", ".mhd"),
-        reader="side_headers:open_metaimage",
+        reader=".side_headers:open_metaimage",
     ),
-    Kind("ISQ", marked(b"CTDATA-HEADER_V1"), reader="headed_files:open_isq"),
-    Kind("VFF", marked(b"ncaa"), reader="headed_files:open_vff"),
-    Kind("AmiraMesh", matching(rb"# (?:AmiraMesh|Avizo)"), reader="headed_files:open_amira"),
-    Kind("BOV", brick, (".bov",), reader="side_headers:open_bov"),
-    Kind("VGI", matching(rb"\{volume\d*\}"), (".vgi",), reader="side_headers:open_vgi"),
-    Kind("a .dat header", matching(rb"ObjectFileName\s*:"), reader="side_headers:open_dat"),
+    Kind("ISQ", marked(b"CTDATA-HEADER_V1"), reader=".headed_files:open_isq"),
+    Kind("VFF", marked(b"ncaa"), reader=".headed_files:open_vff"),
+    Kind("AmiraMesh", matching(rb"# (?:AmiraMesh|Avizo)"), reader=".headed_files:open_amira"),
+    Kind("BOV", brick, (".bov",), reader=".side_headers:open_bov"),
+    Kind("VGI", matching(rb"\{volume\d*\}"), (".vgi",), reader=".side_headers:open_vgi"),
+    Kind("a .dat header", matching(rb"ObjectFileName\s*:"), reader=".side_headers:open_dat"),
     Kind(
         "legacy VTK",
         legacy_vtk(b"STRUCTURED_POINTS"),
         (".vtk",),
-        reader="image_files:open_itk",
+        reader=".image_files:open_itk",
     ),
-    Kind("GIPL", marked(GIPL_MAGIC, at=252), (".gipl",), reader="image_files:open_itk"),
+    Kind("GIPL", marked(GIPL_MAGIC, at=252), (".gipl",), reader=".image_files:open_itk"),
     # Files of chemistry are text with few marks: they come after all that have one.
-    Kind("XSF", is_xsf, reader="chemistry.xsf:open_xsf", unpacks=True),
-    Kind("OpenDX", is_dx, reader="chemistry.opendx:open_dx", unpacks=True),
-    Kind("Gaussian cube", is_cube, reader="chemistry.cube:open_cube", unpacks=True),
-    Kind("VASP", is_vasp, reader="chemistry.vasp:open_vasp", unpacks=True),
-    Kind("an image of ITK", suffixes=(".hdr", ".img"), reader="image_files:open_itk"),
+    Kind("XSF", is_xsf, reader=".chemistry.xsf:open_xsf", unpacks=True),
+    Kind("OpenDX", is_dx, reader=".chemistry.opendx:open_dx", unpacks=True),
+    Kind("Gaussian cube", is_cube, reader=".chemistry.cube:open_cube", unpacks=True),
+    Kind("VASP", is_vasp, reader=".chemistry.vasp:open_vasp", unpacks=True),
+    Kind("an image of ITK", suffixes=(".hdr", ".img"), reader=".image_files:open_itk"),
 )
 """Kinds that isogi reads, in the order in which a file is compared with them."""
 
 
+def reader_plugins() -> Plugins:
+    """Find the kinds that other packages read."""
+    return plugins(READER_GROUP, Kind)
+
+
+@cache
+def added_kinds() -> tuple[Kind, ...]:
+    """List the kinds of plug-ins, each with its package."""
+    return tuple(replace(each.record, package=each.package) for each in reader_plugins().found)
+
+
+def added_reader_of(head: Head) -> Kind | None:
+    """Find the kind of a plug-in that tells a file by its content, if isogi tells it by none; a
+    test that fails tells nothing.
+    """
+    if any(kind.is_of(head.content, head.suffix) for kind in READ_KINDS):
+        return None
+    for kind in added_kinds():
+        with suppress(Exception):
+            if kind.is_of(head.content, head.suffix):
+                return kind
+    return None
+
+
+def plugin_faults(head: Head) -> list[str]:
+    """Say which plug-ins cannot be loaded, and which fail to tell what a file is."""
+    faults = list(reader_plugins().faults)
+    for kind in added_kinds():
+        try:
+            kind.is_of(head.content, head.suffix)
+        except Exception as error:
+            faults.append(fault_of(kind.package, f"fails to tell kinds ({line_of(error)})"))
+    return faults
+
+
 def reader_of(head: Head) -> Kind | None:
     """Find the kind that reads a file: by how its content begins, else by its suffix; None if there
-    is none.
+    is none. Kinds of plug-ins come after isogi's.
     """
     for kind in READ_KINDS:
-        if kind.begins(head.content) and (not kind.both or head.suffix in kind.suffixes):
+        if kind.is_of(head.content, head.suffix):
             return kind
-    for kind in READ_KINDS:
+    if (added := added_reader_of(head)) is not None:
+        return added
+    for kind in (*READ_KINDS, *added_kinds()):
         if not kind.both and head.suffix in kind.suffixes:
             return kind
     return None
@@ -362,6 +415,7 @@ def libraries_for(stored: bytes) -> list[str]:
     """
     if stored.startswith(ZIP_MAGIC[:2]):
         kinds = [kind for kind in READ_KINDS if kind.loads is not VTK_MODULES]
+        kinds += added_kinds()
         return [*ARCHIVE_MODULES, *dict.fromkeys(name for kind in kinds for name in kind.modules)]
     packed = stored.startswith((GZIP_MAGIC, BZIP2_MAGIC))
     found = [
@@ -369,4 +423,6 @@ def libraries_for(stored: bytes) -> list[str]:
         for kind in READ_KINDS
         if (packed and kind.unpacks) or kind.begins(stored) or kind.begins is never
     ]
+    # Tests of plug-ins are not tried here: all of their modules are loaded.
+    found += added_kinds()
     return list(dict.fromkeys(name for kind in found for name in kind.modules))

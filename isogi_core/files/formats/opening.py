@@ -3,11 +3,16 @@ that is no volume seems to be.
 """
 
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import IO, Any
 
-from isogi_core.errors import VolumeError, advice
+import numpy as np
+
+from isogi_core.errors import IsogiError, VolumeError, advice
 from isogi_core.files.formats import (
     array_files,
     brain_files,
@@ -21,8 +26,12 @@ from isogi_core.files.formats.kinds import (
     HEAD_BYTES,
     ZIP_MAGIC,
     Head,
+    Kind,
+    added_kinds,
+    added_reader_of,
     head_of,
     libraries_for,
+    plugin_faults,
     reader_of,
 )
 from isogi_core.files.formats.other_kinds import (
@@ -33,7 +42,9 @@ from isogi_core.files.formats.other_kinds import (
     is_text,
 )
 from isogi_core.files.formats.source import FILE_CHOICES, Source
-from isogi_core.files.grid import Grid
+from isogi_core.files.grid import Grid, read_as
+from isogi_core.files.packed_files import line_of
+from isogi_core.files.plugins import LOAD_FAULTS
 
 __all__ = ["HEAD_BYTES", "libraries_for", "open_file", "open_upload", "split_part"]
 
@@ -68,18 +79,21 @@ def open_upload(file: IO[bytes], name: str, most: int) -> Grid:
 def _open_by_head(source: Source) -> Grid:
     """Open a file as a grid, by how it begins, else by its name. Raises VolumeError."""
     head = _head(source)
-    if hint := hint_of(head):
-        raise VolumeError(f"'{source.name}' seems to be {hint}.")
-    if head.stored.startswith(ZIP_MAGIC):
-        return open_archive(source)
-    kind = reader_of(head)
+    # A plug-in may read what isogi can only name, and a kind of its own that is a ZIP file.
+    added = added_reader_of(head)
+    if added is None:
+        if hint := hint_of(head):
+            raise VolumeError(_with_faults(f"'{source.name}' seems to be {hint}.", head))
+        if head.stored.startswith(ZIP_MAGIC):
+            return open_archive(source)
+    kind = added or reader_of(head)
     if kind is not None:
         if head.is_packed and not kind.unpacks and not kind.begins(head.stored):
             raise VolumeError(
                 f"'{source.name}' seems to be {kind.name}, packed by gzip or "
                 "bzip2: unpack it first."
             )
-        return kind.open()(source)
+        return read_by_plugin(kind, source) if kind.package else kind.open()(source)
     if not is_text(head) and (header := side_headers.header_beside(source)):
         grid = _open_by_head(header)
         note = f"'{Path(source.name).name}' is bare voxels: '{Path(header.name).name}' says what."
@@ -119,8 +133,72 @@ def _unknown(source: Source, head: Head) -> VolumeError:
     if guess := guess_of(head):
         if guess == BARE_VOXELS_HINT and not head.is_packed and (fits := _cubes(source)):
             guess = f"{guess}; {fits} would fit"
-        return VolumeError(f"'{name}' seems to be {guess}.")
-    return VolumeError(f"'{name}' is no volume that is known here: give {KNOWN_KINDS}.")
+        return VolumeError(_with_faults(f"'{name}' seems to be {guess}.", head))
+    known = ", ".join([*(kind.name for kind in added_kinds()), KNOWN_KINDS])
+    return VolumeError(
+        _with_faults(f"'{name}' is no volume that is known here: give {known}.", head)
+    )
+
+
+def _with_faults(said: str, head: Head) -> str:
+    """Add to a message which plug-ins are broken, as one of these may be meant to read the file."""
+    return " ".join([said, *plugin_faults(head)])
+
+
+def read_by_plugin(kind: Kind, source: Source) -> Grid:
+    """Open a file by a plug-in's reader. Raises VolumeError, which names the package for whatever
+    goes wrong in it.
+    """
+    with _in_plugin(kind, source.name):
+        grid = kind.open()(source)
+    if not isinstance(grid, Grid):
+        raise VolumeError(_plugin_fault(kind, source.name, f"it gives {type(grid).__name__}"))
+    source.check(grid.shape)
+    return replace(
+        grid,
+        slabs=partial(_checked_slabs, kind, source.name, grid),
+        # A grid that names no state would be taken for the same after the file changed.
+        stamp=source.stamp if grid.stamp is str else grid.stamp,
+        read_as=grid.read_as or f"{read_as(kind.name, grid.dtype)}; read by {kind.package}",
+    )
+
+
+def _checked_slabs(kind: Kind, name: str, grid: Grid) -> Iterator[np.ndarray]:
+    """Iterate over the slabs of a plug-in's grid. Raises VolumeError if they do not make up its
+    shape.
+    """
+    layers = 0
+    with _in_plugin(kind, name):
+        for slab in grid.slabs():
+            layers += len(slab)
+            if slab.shape[1:] != grid.shape[1:] or layers > len(grid):
+                break
+            yield slab.astype(grid.dtype, copy=False)
+        else:
+            if layers == len(grid):
+                return
+    raise VolumeError(
+        _plugin_fault(kind, name, f"its slabs do not make up {' × '.join(map(str, grid.shape))}")
+    )
+
+
+@contextmanager
+def _in_plugin(kind: Kind, name: str) -> Iterator[None]:
+    """Raise VolumeError for whatever goes wrong in a plug-in's code."""
+    try:
+        yield
+    except (IsogiError, MemoryError, GeneratorExit):
+        raise
+    except LOAD_FAULTS as error:
+        raise VolumeError(_plugin_fault(kind, name, line_of(error))) from error
+
+
+def _plugin_fault(kind: Kind, name: str, wrong: str) -> str:
+    """Say what went wrong in a plug-in, and what to do."""
+    return (
+        f"'{name}' cannot be read as {kind.name} by the plug-in {kind.package} ({wrong}): update "
+        "that package, or tell its authors."
+    )
 
 
 def _cubes(source: Source) -> str:

@@ -144,6 +144,7 @@ WRONG_SUFFIXES = {
     ".stl": MESH_HINT,
     ".obj": MESH_HINT,
     ".ply": MESH_HINT,
+    ".frmsf": "a Fermi surface of FermiSurfer: write the bands as BXSF",
     ".aim": SCANNER_HINT.format("Scanco AIM"),
     ".raw": BARE_VOXELS_HINT,
     ".bin": BARE_VOXELS_HINT,
@@ -159,7 +160,7 @@ def hint_of(head: Head) -> str:
     nothing.
     """
     for kind in OTHER_KINDS:
-        if kind.begins(head.content) and (not kind.both or head.suffix in kind.suffixes):
+        if kind.is_of(head.content, head.suffix):
             return kind.hint
     return ""
 

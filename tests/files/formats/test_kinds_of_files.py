@@ -59,6 +59,7 @@ NAMED = [
     ("a.dat", b"", "is empty", "copy or write it again"),
     ("a.txt", b"1 2 3\n4 5 6\n", "a text of no kind", "NumPy"),
     ("a.txt.gz", gzip.compress(b"1 2 3\n"), "a text of no kind", "NumPy"),
+    ("a.frmsf", b" 15 15 12\n 1\n 3\n", "FermiSurfer", "BXSF"),
     ("a.dcm.gz", gzip.compress(bytes(128) + b"DICM"), "DICOM, packed by gzip", "unpack it first"),
     ("a.bin.bz2", bz2.compress(b"\0\1\2\3"), "bare voxels", "--raw"),
 ]
@@ -304,6 +305,14 @@ def test_cubes_of_fits(tmp_path: Path) -> None:
         assert grid.affine is not None and grid.affine.matrix[2][2] == -1.5
     (tmp_path / "sky.fits").write_bytes(fits(CTYPE1="'RA---TAN'", **places))
     assert "cubes, as its axes are RA---TAN" in open_file(tmp_path / "sky.fits", {}).notes[0]
+
+
+def test_fits_without_a_cube_is_named(tmp_path: Path) -> None:
+    pytest.importorskip("astropy")
+    head = cards(SIMPLE=True, BITPIX=16, NAXIS=2, NAXIS1=NX, NAXIS2=NY)
+    data = F[0].astype(">i2").tobytes()
+    said = refused(tmp_path, "f.fits", head + data + bytes(-len(data) % 2880))
+    assert "tables or images of two axes alone: give a file with a cube" in said
 
 
 def test_texts_that_name_each_other_are_no_headers(tmp_path: Path) -> None:

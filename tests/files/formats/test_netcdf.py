@@ -97,6 +97,22 @@ def test_one_of_several_fields_is_to_be_chosen(tmp_path: Path) -> None:
         open_file(tmp_path / "f.nc", {"part": "u"})
 
 
+def test_a_file_without_a_field_is_named(tmp_path: Path) -> None:
+    with pytest.importorskip("h5py").File(tmp_path / "f.h5", "w") as file:
+        file["mesh/points"] = np.zeros((5, 3))
+    with pytest.raises(VolumeError, match="no dataset of three axes or more: give a file that"):
+        open_file(tmp_path / "f.h5", {})
+
+
+def test_months_are_steps_in_time(tmp_path: Path) -> None:
+    with pytest.importorskip("scipy.io").netcdf_file(tmp_path / "f.nc", "w") as file:
+        for name, length in zip(("month", "level", "lat", "lon"), (2, *F.shape), strict=True):
+            file.createDimension(name, length)
+        file.createVariable("u", "f4", ("month", "level", "lat", "lon"))[:] = np.stack([F, -F])
+    grid = open_file(tmp_path / "f.nc", {"time": 1})
+    np.testing.assert_array_equal(grid.whole(), -F)
+
+
 def test_the_only_field_in_space_needs_no_choice(tmp_path: Path) -> None:
     with pytest.importorskip("scipy.io").netcdf_file(tmp_path / "f.nc", "w") as file:
         for name, length in zip(("time", "lev", "lat", "lon"), (2, *F.shape), strict=True):
