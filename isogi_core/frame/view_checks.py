@@ -12,8 +12,14 @@ from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import surface_key
 from isogi_core.frame.lighting import RotatedLight
+from isogi_core.frame.rays.carried_light import (
+    Receiver,
+    TracedLight,
+    TracedPoints,
+    carried_key,
+)
 from isogi_core.frame.rays.control_pixels import CONTROLS_IF_MISSED, paths_for
-from isogi_core.frame.rays.own_light import foreseen_paths
+from isogi_core.frame.rays.own_light import PixelLight, foreseen_paths
 from isogi_core.frame.rays.picture_check import PictureCheck
 from isogi_core.frame.rays.picture_plan import AWAITED, Prices, rungs_above
 from isogi_core.frame.rays.picture_state import PictureState
@@ -80,7 +86,45 @@ class ViewChecks(Refinement[PictureCheck]):
             uncertainty = found.known.uncertainty
         else:
             uncertainty = self._uncertainty(frame, found, tiles)
-        return found.advance(frame, uncertainty, tiles, prices)
+        # Light that was traced for another view comes first, as it costs no paths.
+        if found.untouched and not frame.provisional:
+            carried = self._carried(found, frame, uncertainty, tiles)
+            if carried is not None:
+                found.carry(carried)
+                return True
+        before = found.known.own
+        taken = found.advance(frame, uncertainty, tiles, prices)
+        if found.known.own is not before:
+            self._keep_traced(found, frame, tiles)
+        return taken
+
+    def _carried(
+        self, found: PictureCheck, frame: Frame, uncertainty: np.ndarray, tiles: Tiles
+    ) -> PixelLight | None:
+        """Return the light that a ``frame`` takes over from points of earlier views; None if there
+        is none. Raises Cancelled.
+        """
+        key = carried_key(found.light)
+        if key is None or (traced := self._kept.held(key)) is None:
+            return None
+        given = Receiver(frame.view, frame.gbuffer, uncertainty)
+        own = traced.carried_to(given, found.light, found.known.target, tiles)
+        if not len(own.places):
+            return None
+        return own
+
+    def _keep_traced(self, check: PictureCheck, frame: Frame, tiles: Tiles) -> None:
+        """Keep the light that a ``check`` has traced for points of a ``frame``, for later views.
+        Raises Cancelled.
+        """
+        known = check.known
+        key = carried_key(check.light)
+        if key is None or len(known.own.places) == len(known.carried):
+            return
+        newest = TracedPoints.of(frame.view, frame.gbuffer, known.own, known.carried, tiles)
+        former = self._kept.held(key) or TracedLight(())
+        self._kept.drop(key)
+        self._kept.get(key, lambda: former.joined(newest))
 
     def held(self, view: View, target: float) -> PictureCheck | None:
         """Return the check of a view's picture; None if there is none."""
