@@ -3,31 +3,26 @@ the work that is left.
 """
 
 import math
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from isogi_core.bake.noise import RATE, Until
+from isogi_core.bake.noise import RATE, Goal
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import surface_key
-from isogi_core.frame.lighting import RotatedLight
-from isogi_core.frame.rays.carried_light import (
-    Receiver,
-    TracedLight,
-    TracedPoints,
-    carried_key,
-)
+from isogi_core.frame.rays.carried_light import TracedLight, TracedPoints, carried_key
 from isogi_core.frame.rays.control_pixels import CONTROLS_IF_MISSED, paths_for
 from isogi_core.frame.rays.own_light import PixelLight, foreseen_paths
 from isogi_core.frame.rays.picture_check import PictureCheck
-from isogi_core.frame.rays.picture_plan import AWAITED, Prices, rungs_above
+from isogi_core.frame.rays.picture_plan import AWAITED, SHARED_PRICES, Prices, rungs_above
 from isogi_core.frame.rays.picture_state import PictureState
 from isogi_core.frame.refinement import Refinement
 from isogi_core.frame.shading import texel_disagreement
+from isogi_core.frame.shot import Shot
 from isogi_core.frame.texel_reading import Reading
 from isogi_core.frame.texel_shading import TexelShading
-from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.lru_cache import LruCache
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.view import View
@@ -67,61 +62,54 @@ class ViewChecks(Refinement[PictureCheck]):
         self._kept = kept
         self._texels = texels
 
-    def check(self, light: RotatedLight, target: float) -> PictureCheck:
-        """Return the check of the picture of a view, or begin one."""
+    def of(self, shot: Shot) -> PictureCheck:
+        """Return the check of the picture of a ``shot``, kept or begun now: see ``Refinement``."""
+        target = shot.goal.error
         return self._kept.get(
-            check_key(light.view, target), lambda: PictureCheck(light, PictureState(target))
+            check_key(shot.view, target), lambda: PictureCheck(shot.light, PictureState(target))
         )
 
-    def of(self, frame: Frame, light: RotatedLight, target: float, tiles: Tiles) -> PictureCheck:
-        """Return the check of the picture in a ``frame``: see ``Refinement``."""
-        return self.check(light, target)
-
-    def advance(
-        self, found: PictureCheck, frame: Frame, target: float, tiles: Tiles, prices: Prices
-    ) -> bool:
+    def advance(self, found: PictureCheck, frame: Frame, shot: Shot, prices: Prices) -> bool:
         """Take one step of the check ``found``: see ``Refinement``."""
         # Pixels whose light grows were chosen before: nothing is drawn by the uncertainty then.
         if found.growing:
             uncertainty = found.known.uncertainty
         else:
-            uncertainty = self._uncertainty(frame, found, tiles)
-        # Light that was traced for another view comes first, as it costs no paths.
-        if found.untouched and not frame.provisional:
-            carried = self._carried(found, frame, uncertainty, tiles)
+            uncertainty = self._uncertainty(frame, found, shot)
+        # Light that was traced for other views comes first, as it costs no paths. A picture that
+        # stands for others goes without it: texels are to serve all of them.
+        if found.untouched and not frame.provisional and prices != SHARED_PRICES:
+            carried = self._carried(shot, uncertainty)
             if carried is not None:
                 found.carry(carried)
                 return True
         before = found.known.own
-        taken = found.advance(frame, uncertainty, tiles, prices)
+        taken = found.advance(frame, uncertainty, shot.tiles, prices)
         if found.known.own is not before:
-            self._keep_traced(found, frame, tiles)
+            self._keep_traced(found, shot)
         return taken
 
-    def _carried(
-        self, found: PictureCheck, frame: Frame, uncertainty: np.ndarray, tiles: Tiles
-    ) -> PixelLight | None:
-        """Return the light that a ``frame`` takes over from points of earlier views; None if there
-        is none. Raises Cancelled.
+    def _carried(self, shot: Shot, uncertainty: np.ndarray) -> PixelLight | None:
+        """Return the light that the points of a ``shot`` take over from earlier views; None if
+        there is none. Raises Cancelled.
         """
-        key = carried_key(found.light)
+        key = carried_key(shot.light)
         if key is None or (traced := self._kept.held(key)) is None:
             return None
-        given = Receiver(frame.view, frame.gbuffer, uncertainty)
-        own = traced.carried_to(given, found.light, found.known.target, tiles)
+        own = traced.carried_to(shot, uncertainty)
         if not len(own.places):
             return None
         return own
 
-    def _keep_traced(self, check: PictureCheck, frame: Frame, tiles: Tiles) -> None:
-        """Keep the light that a ``check`` has traced for points of a ``frame``, for later views.
+    def _keep_traced(self, check: PictureCheck, shot: Shot) -> None:
+        """Keep the light that a ``check`` has traced for points of a ``shot``, for later views.
         Raises Cancelled.
         """
         known = check.known
-        key = carried_key(check.light)
+        key = carried_key(shot.light)
         if key is None or len(known.own.places) == len(known.carried):
             return
-        newest = TracedPoints.of(frame.view, frame.gbuffer, known.own, known.carried, tiles)
+        newest = TracedPoints.of(shot, known.own, known.carried)
         former = self._kept.held(key) or TracedLight(())
         self._kept.drop(key)
         self._kept.get(key, lambda: former.joined(newest))
@@ -132,21 +120,21 @@ class ViewChecks(Refinement[PictureCheck]):
             return self._kept.held(check_key(view, target))
         return None
 
-    def _uncertainty(self, frame: Frame, check: PictureCheck, tiles: Tiles) -> np.ndarray:
+    def _uncertainty(self, frame: Frame, check: PictureCheck, shot: Shot) -> np.ndarray:
         """Return the uncertain luminance of each surface point: the spread of the texels around
         it, and its noise; (m,).
         """
-        light = check.light
+        light = shot.light
         known = check.known
-        texels = self._texels.under(light.view, frame.gbuffer, tiles)
-        found = self._texels.lit(
-            texels, light, Until(known.target, known.enough), tiles, Stopwatch()
-        )
+        # Read the texels that the picture shows, with the samples that its check asks for.
+        goal = Goal(known.target, known.enough)
+        texels = self._texels.under(shot.view, shot.gbuffer, shot.tiles)
+        found = self._texels.lit(texels, replace(shot, goal=goal))
         # Where texels around a point differ, light between them is uncertain. Light that was traced
         # for a pixel itself is not.
         between = light.spec.unit * texel_disagreement(texels, *found)
         if light.coloured:
-            between *= light.tints(frame.gbuffer, tiles) @ LUMINANCE_WEIGHTS
+            between *= light.tints(shot.gbuffer, shot.tiles) @ LUMINANCE_WEIGHTS
         between[known.own.places] = 0.0
         return np.asarray(np.hypot(between, frame.pixel_noise))
 
@@ -185,19 +173,19 @@ class ViewChecks(Refinement[PictureCheck]):
     @staticmethod
     def foreseen(frame: Frame, target: float) -> PathsLeft:
         """Return the paths that a ``frame`` is foreseen to take, before it was measured."""
-        if frame.quality.target is None or frame.quality.lacking is None:
+        if frame.target is None or frame.quality.lacking is None:
             return PathsLeft()
         return foreseen_work(frame, frame.quality.lacking.reading, target)
 
 
-def texels_until(until: Until, view: View, known: PictureState | None) -> Until:
-    """Return when texels of a ``view`` count as final: if the picture is checked, once they
-    have the samples that its check wants; else, as for vicinity shading, once each has reached
-    the target alone.
+def goal_of_texels(goal: Goal, view: View, known: PictureState | None) -> Goal:
+    """Return the goal of the texels of a ``view`` whose picture has a ``goal``: if the picture is
+    checked, the samples that its check wants; else, as for vicinity shading, each must reach the
+    error alone.
     """
     if view.shading != "gi":
-        return Until(until.target)
-    return Until(until.target, max(until.enough, known.enough if known else 0))
+        return Goal(goal.error)
+    return Goal(goal.error, max(goal.samples, known.enough if known else 0))
 
 
 def foreseen_work(frame: Frame, reading: Reading, target: float) -> PathsLeft:

@@ -9,17 +9,16 @@ measure the picture afterwards, so that light which was carried too far shows as
 import math
 from dataclasses import dataclass
 from itertools import product
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 import numpy as np
 
-from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.control_pixels import bounces_of_truth
 from isogi_core.frame.rays.own_light import REPLICAS, PixelLight
 from isogi_core.frame.rays.pixel_rays import Paths
 from isogi_core.frame.rays.point_paths import Estimate
-from isogi_core.frame.tiles import Tiles
+from isogi_core.frame.shot import Shot
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.view import View
 
@@ -57,22 +56,21 @@ class TracedPoints:
     changes: np.ndarray
 
     @classmethod
-    def of(
-        cls, view: View, gbuffer: GBuffer, own: PixelLight, carried: np.ndarray, tiles: Tiles
-    ) -> Self:
-        """Return the points of a picture whose ``own`` light was traced for themselves: all but the
-        ``carried`` ones (rows of the G-buffer). Raises Cancelled.
+    def of(cls, shot: Shot, own: PixelLight, carried: np.ndarray) -> Self:
+        """Return the points of a ``shot`` whose ``own`` light was traced for themselves: all but
+        the ``carried`` ones (rows of the G-buffer). Raises Cancelled.
         """
+        gbuffer = shot.gbuffer
         traced = ~np.isin(own.places, carried, assume_unique=True)
         places = own.places[traced]
         rows = np.full(gbuffer.shape, -1, np.int32)
         rows.reshape(-1)[gbuffer.pixels[places]] = np.arange(len(places), dtype=np.int32)
         estimate = Estimate(own.estimate.sums[traced], own.estimate.counts[traced])
         return cls(
-            view,
+            shot.view,
             rows,
             gbuffer.points[places] * np.array(gbuffer.spacing, np.float32),
-            gbuffer.normals(tiles)[places],
+            gbuffer.normals(shot.tiles)[places],
             estimate,
             own.expected[places],
             changes_by_pixel(rows, own.light[traced] @ LUMINANCE_WEIGHTS),
@@ -84,13 +82,12 @@ class TracedPoints:
         arrays = (self.rows, self.points, self.normals, self.expected, self.changes)
         return self.estimate.nbytes + sum(each.nbytes for each in arrays)
 
-    def pairs(
-        self, view: View, gbuffer: GBuffer, target: float, tiles: Tiles
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the rows of points in the ``gbuffer`` of another ``view`` that may take over
-        light, ascending; the numbers of the points whose light they take; and the distances in
-        pixels. ``target`` is the relative error that the picture is to reach. Raises Cancelled.
+    def pairs(self, shot: Shot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the rows of points of another ``shot`` that may take over light, ascending; the
+        numbers of the points whose light they take; and their distances in pixels. Raises
+        Cancelled.
         """
+        gbuffer = shot.gbuffer
         points = gbuffer.points * np.array(gbuffer.spacing)
         # Find the pixel of the former view that shows each point, and the point that was traced
         # there.
@@ -103,13 +100,13 @@ class TracedPoints:
         numbers = numbers[numbers >= 0]
         # It is the same part of the surface if it is as near as pixels are, and faces the same way.
         before = depths * pixel_slope(self.view)
-        now = project(view, points)[2] * pixel_slope(view)
+        now = project(shot.view, points)[2] * pixel_slope(shot.view)
         away = np.linalg.norm(points[places] - self.points[numbers], axis=1)
         away /= np.minimum(before, now)[places]
-        cosines = (gbuffer.normals(tiles)[places] * self.normals[numbers]).sum(axis=1)
+        cosines = (gbuffer.normals(shot.tiles)[places] * self.normals[numbers]).sum(axis=1)
         near = (away <= FARTHEST) & (cosines >= LEAST_COSINE)
         # Leave out points at edges of light, where a part of a pixel makes a difference.
-        near &= self.changes[numbers] * away <= MOST_CHANGE * target
+        near &= self.changes[numbers] * away <= MOST_CHANGE * shot.goal.error
         return places[near], numbers[near], away[near]
 
 
@@ -131,23 +128,21 @@ class TracedLight:
         others = [each for each in self.views if each.view != newest.view]
         return TracedLight((newest, *others[: MOST_VIEWS - 1]))
 
-    def carried_to(
-        self, given: "Receiver", light: RotatedLight, target: float, tiles: Tiles
-    ) -> PixelLight:
-        """Return the light that points of a picture take over, each from the nearest point of all
+    def carried_to(self, shot: Shot, uncertainty: np.ndarray) -> PixelLight:
+        """Return the light that points of a ``shot`` take over, each from the nearest point of all
         views; it is that of no points if none is near. Raises Cancelled.
 
-        ``given`` is the picture, ``target`` the relative error that it is to reach.
+        ``uncertainty`` (m,) is that of the luminance of its points. It stands for the expected
+        error of those that take over none.
         """
-        gbuffer = given.gbuffer
-        m = len(gbuffer.points)
+        m = len(shot.gbuffer.points)
         nearest = np.full(m, np.inf)
         sums = np.zeros((m, REPLICAS, 3))
         counts = np.zeros(m, np.int64)
-        expected = np.array(given.uncertainty, np.float64)
+        expected = np.array(uncertainty, np.float64)
         # Go through the views, and keep the nearest point of each pixel.
         for each in self.views:
-            places, numbers, away = each.pairs(given.view, gbuffer, target, tiles)
+            places, numbers, away = each.pairs(shot)
             nearer = away < nearest[places]
             places = places[nearer]
             numbers = numbers[nearer]
@@ -158,18 +153,9 @@ class TracedLight:
         found = np.flatnonzero(nearest < np.inf)
         if not len(found):
             return PixelLight.none()
-        paths = Paths(light, gbuffer.part(found, tiles), tiles, bounces_of_truth(light))
+        part = shot.gbuffer.part(found, shot.tiles)
+        paths = Paths(shot.light, part, shot.tiles, bounces_of_truth(shot.light))
         return PixelLight.of(found, Estimate(sums[found], counts[found]), paths, expected)
-
-
-class Receiver(NamedTuple):
-    """A picture that takes over light: its ``view`` and ``gbuffer``, and the ``uncertainty`` (m,)
-    of the luminance of its points, which stands for the expected error of those that take none.
-    """
-
-    view: View
-    gbuffer: GBuffer
-    uncertainty: np.ndarray
 
 
 def changes_by_pixel(rows: np.ndarray, values: np.ndarray) -> np.ndarray:
