@@ -6,7 +6,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Annotated, Any, NamedTuple, Self, TypeVar
 
-from fastapi import Depends, Request
 from pydantic import (
     BaseModel,
     ConfigDict,
@@ -254,26 +253,6 @@ def documented(model: type[BaseModel]) -> dict[str, Any]:
     }
 
 
-def reader(model: type[Model]) -> Any:
-    """Return a dependency that reads the query of a request as a ``model``. It raises
-    ParameterError.
-    """
-
-    async def query(request: Request) -> Model:
-        return read(model, request.query_params.multi_items())
-
-    return Depends(query)
-
-
-NoParamsDep = reader(NoParams)
-VariantParamsDep = Annotated[VariantParams, reader(VariantParams)]
-ViewParamsDep = Annotated[ViewParams, reader(ViewParams)]
-UploadParamsDep = Annotated[UploadParams, reader(UploadParams)]
-FrameParamsDep = Annotated[FrameParams, reader(FrameParams)]
-FitParamsDep = Annotated[FitParams, reader(FitParams)]
-SkyParamsDep = Annotated[SkyParams, reader(SkyParams)]
-
-
 EXPORTS = ("glb", "usdz", "ply", "obj", "vti", "nrrd")
 
 
@@ -310,9 +289,6 @@ class ExportParams(VariantParams):
         """
         names = self.model_fields_set - {"f", "exposure", "deadline", "coefficients"}
         return read(ViewParams, self.model_dump(include=names).items())
-
-
-ExportParamsDep = Annotated[ExportParams, reader(ExportParams)]
 
 
 AXIS_NAMES = ("x", "y", "z")
@@ -404,11 +380,6 @@ class SizeParams(VariantParams):
     def view(self) -> ViewParams:
         """Return a view of that surface."""
         return ViewParams.model_validate({"isovalue": self.isovalue})
-
-
-PointParamsDep = Annotated[PointParams, reader(PointParams)]
-SliceParamsDep = Annotated[SliceParams, reader(SliceParams)]
-SizeParamsDep = Annotated[SizeParams, reader(SizeParams)]
 
 
 CHUNK = re.compile(r"(\d{1,6})\.(\d{1,6})\.(\d{1,6})(?:-([0-9a-f]{16}))?", re.ASCII)
@@ -505,8 +476,3 @@ class FoldParams(TransferParams):
         return read(
             ViewParams, self.model_dump(include=self.model_fields_set - {"max_error"}).items()
         )
-
-
-VoxelParamsDep = Annotated[VoxelParams, reader(VoxelParams)]
-TransferParamsDep = Annotated[TransferParams, reader(TransferParams)]
-FoldParamsDep = Annotated[FoldParams, reader(FoldParams)]

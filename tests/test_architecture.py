@@ -289,3 +289,17 @@ def test_who_joins_no_cluster_loads_nothing_of_clusters() -> None:
     loaded = set(told.stdout.split())
     assert "worker.local_worker" in loaded
     assert loaded & CLUSTER_MODULES == set()
+
+
+WEB_FRAMEWORK = {"fastapi", "starlette", "uvicorn", "anyio"}
+
+
+def test_a_picture_is_rendered_without_the_web_framework() -> None:
+    told = subprocess.run(
+        [sys.executable, "-c", "import sys, server.cli.render; print(*sys.modules)"],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=ROOT,
+    )
+    assert set(told.stdout.split()) & WEB_FRAMEWORK == set()

@@ -12,10 +12,11 @@ from isogi_core.bake.noise import RATE, Goal
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import surface_key
+from isogi_core.frame.rays.carried_light import TracedLight, TracedPoints, carried_key
 from isogi_core.frame.rays.control_pixels import CONTROLS_IF_MISSED, paths_for
-from isogi_core.frame.rays.own_light import foreseen_paths
+from isogi_core.frame.rays.own_light import PixelLight, foreseen_paths
 from isogi_core.frame.rays.picture_check import PictureCheck
-from isogi_core.frame.rays.picture_plan import AWAITED, Prices, rungs_above
+from isogi_core.frame.rays.picture_plan import AWAITED, SHARED_PRICES, Prices, rungs_above
 from isogi_core.frame.rays.picture_state import PictureState
 from isogi_core.frame.refinement import Refinement
 from isogi_core.frame.shading import texel_disagreement
@@ -75,7 +76,43 @@ class ViewChecks(Refinement[PictureCheck]):
             uncertainty = found.known.uncertainty
         else:
             uncertainty = self._uncertainty(frame, found, shot)
-        return found.advance(frame, uncertainty, shot.tiles, prices)
+        # Light that was traced for other views comes first, as it costs no paths. A picture that
+        # stands for others goes without it: texels are to serve all of them.
+        if found.untouched and not frame.provisional and prices != SHARED_PRICES:
+            carried = self._carried(shot, uncertainty)
+            if carried is not None:
+                found.carry(carried)
+                return True
+        before = found.known.own
+        taken = found.advance(frame, uncertainty, shot.tiles, prices)
+        if found.known.own is not before:
+            self._keep_traced(found, shot)
+        return taken
+
+    def _carried(self, shot: Shot, uncertainty: np.ndarray) -> PixelLight | None:
+        """Return the light that the points of a ``shot`` take over from earlier views; None if
+        there is none. Raises Cancelled.
+        """
+        key = carried_key(shot.light)
+        if key is None or (traced := self._kept.held(key)) is None:
+            return None
+        own = traced.carried_to(shot, uncertainty)
+        if not len(own.places):
+            return None
+        return own
+
+    def _keep_traced(self, check: PictureCheck, shot: Shot) -> None:
+        """Keep the light that a ``check`` has traced for points of a ``shot``, for later views.
+        Raises Cancelled.
+        """
+        known = check.known
+        key = carried_key(shot.light)
+        if key is None or len(known.own.places) == len(known.carried):
+            return
+        newest = TracedPoints.of(shot, known.own, known.carried)
+        former = self._kept.held(key) or TracedLight(())
+        self._kept.drop(key)
+        self._kept.get(key, lambda: former.joined(newest))
 
     def held(self, view: View, target: float) -> PictureCheck | None:
         """Return the check of a view's picture; None if there is none."""

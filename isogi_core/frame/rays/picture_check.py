@@ -34,7 +34,7 @@ from isogi_core.frame.rays.control_pixels import (
     trace_controls,
     variance_of_halves,
 )
-from isogi_core.frame.rays.own_light import AIM, MOST_PATHS, Growth
+from isogi_core.frame.rays.own_light import AIM, MOST_PATHS, Growth, PixelLight
 from isogi_core.frame.rays.picture_plan import (
     QUIETER,
     Ahead,
@@ -61,6 +61,9 @@ DOUBTFUL = 0.5
 the controls are in doubt, not the light.
 """
 
+
+CARRIED_ATTEMPTS = 2
+"""Attempts with light that was carried over from other views, before it is dropped."""
 
 EARLY_PATHS = 64
 """Paths of each half of a control while light of the picture is still to come: its error is 5 % or
@@ -151,6 +154,11 @@ class PictureCheck:
         # If only the noise of the controls leaves the target open, they take more paths.
         if self._blurred(frame, frame.measured):
             return self._deepen(frame.gbuffer, tiles)
+        # Light that was carried over from other views is a fraction of a pixel aside. If it keeps
+        # the picture from its target, all light is traced anew.
+        if len(self.known.carried) and self.known.attempt >= CARRIED_ATTEMPTS:
+            self._drop_carried()
+            return True
         # The picture misses its target. Take the first step of the cheapest plan: rungs, or light
         # of pixels. If finer texels are cheaper, the check ends with ``coarse`` set, and the caller
         # shows them.
@@ -406,7 +414,33 @@ class PictureCheck:
         if count == MOST_PATHS or self.growing.enough:
             known = self.known
             self.known = PictureState(
-                known.target, own=light, attempt=known.attempt + 1, enough=known.enough
+                known.target,
+                own=light,
+                carried=known.carried,
+                attempt=known.attempt + 1,
+                enough=known.enough,
             )
             self.growing = None
         return True
+
+    @property
+    def untouched(self) -> bool:
+        """True if the check has neither measured the picture with all its light nor traced light
+        for its pixels.
+        """
+        known = self.known
+        return not (known.drawn or known.attempt or len(known.carried) or self.growing)
+
+    def carry(self, own: PixelLight) -> None:
+        """Show light of pixels' ``own`` that was carried over from other views; the picture is
+        measured with it.
+        """
+        none = ControlPixels.none()
+        self.known = replace(self.known, own=own, carried=own.places, controls=none)
+
+    def _drop_carried(self) -> None:
+        """Forget all light of pixels, as some was carried over and kept the picture from its
+        target.
+        """
+        known = self.known
+        self.known = PictureState(known.target, attempt=known.attempt, enough=known.enough)

@@ -19,6 +19,7 @@ class PictureState:
     - ``controls``: control pixels of the present attempt.
     - ``uncertainty`` (m,): uncertain luminance of each surface point; controls were drawn by it.
     - ``own``: light that pixels have from paths of their own.
+    - ``carried`` (k,): rows of the surface points whose light was carried over from other views.
     - ``attempt``: number of times that pixels have got light of their own; each has new controls.
     - ``ended``: True if the last step found nothing to do.
     - ``enough``: samples that texels are to have, the present rung.
@@ -30,6 +31,7 @@ class PictureState:
     controls: ControlPixels = field(default_factory=ControlPixels.none)
     uncertainty: np.ndarray = field(default_factory=lambda: np.empty(0))
     own: PixelLight = field(default_factory=PixelLight.none)
+    carried: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))
     attempt: int = 0
     ended: bool = False
     enough: int = FIRST_LEVEL
@@ -39,7 +41,9 @@ class PictureState:
     @property
     def nbytes(self) -> int:
         """The size of its arrays in bytes."""
-        return self.controls.nbytes + self.uncertainty.nbytes + self.own.nbytes
+        return (
+            self.controls.nbytes + self.uncertainty.nbytes + self.own.nbytes + self.carried.nbytes
+        )
 
     @property
     def outdated(self) -> bool:
@@ -54,4 +58,8 @@ class PictureState:
         own = self.own
         if not len(own.places):
             return b""
-        return repr(own.count).encode() + hashlib.sha256(own.places.data).digest()
+        name = repr(own.count).encode() + hashlib.sha256(own.places.data).digest()
+        # Paths of the points themselves follow from these; light that was carried does not.
+        if len(self.carried):
+            name += hashlib.sha256(np.ascontiguousarray(own.light).data).digest()
+        return name

@@ -20,6 +20,7 @@ from isogi_core.frame.renderer import Renderer
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index
 from server.answers import card_schema, chunk_list, voxel_version
+from server.api.dependencies import FoldParamsDep, TransferParamsDep, ViewParamsDep, VoxelParamsDep
 from server.api.headers import FOR_EVER, matches, tag_of, takes_gzip
 from server.api.service import PictureRequest, SceneDep, Service, ServiceDep
 from server.bearers import client_of
@@ -28,14 +29,10 @@ from server.errors import ForbiddenError, ParameterError
 from server.parameters import (
     ChunkName,
     FoldParams,
-    FoldParamsDep,
     TransferParams,
-    TransferParamsDep,
     VariantParams,
     ViewParams,
-    ViewParamsDep,
     VoxelParams,
-    VoxelParamsDep,
     chunk_names,
     documented,
     layers_of,

@@ -15,6 +15,7 @@ from fastapi.sse import EventSourceResponse, format_sse_event
 from isogi_core.errors import StoreError
 from isogi_core.frame.frame import Frame
 from server.answers import coverage_schema
+from server.api.dependencies import ViewParamsDep
 from server.api.service import (
     PREVIEW,
     ClientDep,
@@ -25,7 +26,7 @@ from server.api.service import (
     Shown,
 )
 from server.errors import BusyError, ParameterError, UnknownSceneError
-from server.parameters import ViewParams, ViewParamsDep, documented
+from server.parameters import ViewParams, documented
 from server.problems import documented_problems
 from server.render.engine import Unfinished
 from server.render.viewers import stream_viewer

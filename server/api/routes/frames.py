@@ -16,6 +16,7 @@ from isogi_core.errors import StoreAwayError
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.tiles import Stopwatch
 from server.answers import camera_schema, coverage_schema
+from server.api.dependencies import FitParamsDep, FrameParamsDep, ViewParamsDep
 from server.api.headers import (
     STAGES,
     PreferencesDep,
@@ -29,15 +30,7 @@ from server.api.routes.jobs import JobSchema, address, job_schema
 from server.api.service import BearerDep, PictureRequest, SceneDep, Service, ServiceDep, Shown
 from server.bearers import client_of
 from server.errors import StalledError
-from server.parameters import (
-    FitParams,
-    FitParamsDep,
-    FrameParams,
-    FrameParamsDep,
-    ViewParams,
-    ViewParamsDep,
-    documented,
-)
+from server.parameters import FitParams, FrameParams, ViewParams, documented
 from server.pictures import MEDIA_TYPES, encode, format_for, npy_bytes, npy_parts, smoothed
 from server.problems import documented_problems
 from server.render.bakes import BackgroundBake

@@ -14,11 +14,12 @@ from pydantic import BaseModel
 
 from isogi_core.plan.scene import Scene
 from server.api import export_jobs
+from server.api.dependencies import ExportParamsDep, NoParamsDep
 from server.api.export_jobs import media_type
 from server.api.prewarm_jobs import begin
 from server.api.service import BearerDep, ClientDep, SceneDep, ServiceDep
 from server.errors import ParameterError, UnknownResultError
-from server.parameters import ExportParams, ExportParamsDep, NoParamsDep, documented, read
+from server.parameters import ExportParams, documented, read
 from server.prewarm.order import PrewarmOrder, PrewarmRequest, Views
 from server.prewarm.record import Summary
 from server.problems import documented_problems

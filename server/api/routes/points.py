@@ -10,6 +10,7 @@ from fastapi import APIRouter, Request, Response
 
 from isogi_core.plan.scene import Scene
 from server.answers import point_schema, size_schema
+from server.api.dependencies import PointParamsDep, SizeParamsDep, SliceParamsDep
 from server.api.headers import PreferencesDep, matches, tag_of, takes_gzip
 from server.api.service import SceneDep, ServiceDep, Shown
 from server.bearers import client_of
@@ -17,11 +18,8 @@ from server.errors import ForbiddenError, ParameterError
 from server.parameters import (
     AXIS_NAMES,
     PointParams,
-    PointParamsDep,
     SizeParams,
-    SizeParamsDep,
     SliceParams,
-    SliceParamsDep,
     VariantParams,
     documented,
 )

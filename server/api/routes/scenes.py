@@ -14,18 +14,10 @@ from isogi_core.frame.panorama import PANORAMA_FORMAT, paint_panorama
 from isogi_core.model.lights import ENVIRONMENTS
 from isogi_core.plan.scene import Scene
 from server.answers import scene_schema
+from server.api.dependencies import NoParamsDep, SkyParamsDep, UploadParamsDep, VariantParamsDep
 from server.api.headers import FOR_EVER, matches, tag_of
 from server.api.service import BearerDep, ClientDep, SceneDep, Service, ServiceDep
-from server.parameters import (
-    NoParamsDep,
-    SkyParams,
-    SkyParamsDep,
-    UploadParams,
-    UploadParamsDep,
-    VariantParams,
-    VariantParamsDep,
-    documented,
-)
+from server.parameters import SkyParams, UploadParams, VariantParams, documented
 from server.pictures import MEDIA_TYPES, compress
 from server.problems import documented_problems
 from server.schemas import (

@@ -393,7 +393,7 @@ def test_a_frame_that_others_have_overtaken_takes_no_step(coarse: Workbench) -> 
         for _ in range(2):
             assert renderer.refine_frame(frame, Goal(TARGET), renderer.tiles, PRESENT)
     assert seen[:2] == [0, FIRST_CONTROLS], "the second step waits for a frame that shows the first"
-    one, other = checked(bench, view), checked(coarse, view)
+    one, other = checked(bench, view), checked(coarse.again(), view)
     assert (one.version, one.total) == (other.version, other.total)
 
 
@@ -421,13 +421,14 @@ def test_each_pixel_tells_its_whole_error(coarse: Workbench) -> None:
     """Controls spread what they measure over the picture: in the mean as much as there is, and most
     where most is.
     """
-    view = coarse.view(azimuth=70.0, size=48)
-    lit = coarse.bake(view, TARGET / 4)  # so that noise, which is anywhere, is little of it
+    bench = coarse.again()
+    view = bench.view(azimuth=70.0, size=48)
+    lit = bench.bake(view, TARGET / 4)  # so that noise, which is anywhere, is little of it
     assert (lit.total_error >= lit.error).all() and lit.total_error.max() <= 1.0
-    coarse.renderer.refine(view)
-    frame = coarse.renderer.render(view)
+    bench.renderer.refine(view)
+    frame = bench.renderer.render(view)
     light = (
-        trace_reference(coarse.renderer, view, 512).mean[frame.state > 0].astype(float)
+        trace_reference(bench.renderer, view, 512).mean[frame.state > 0].astype(float)
         @ LUMINANCE_WEIGHTS
     )
     told = frame.total_error[frame.state > 0] * luminance(frame)

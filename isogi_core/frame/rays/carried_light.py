@@ -1,0 +1,202 @@
+"""Carry light that was traced for the points of earlier views to another view of the same surface.
+
+The surface reflects evenly to all sides, so the light of a point does not depend on the camera. A
+pixel of another view takes over the paths of the nearest point that an earlier view has traced, if
+that point is less than about a pixel away, and light changes little on the way. Control pixels
+measure the picture afterwards, so that light which was carried too far shows as error.
+"""
+
+import math
+from dataclasses import dataclass
+from itertools import product
+from typing import Any, Self
+
+import numpy as np
+
+from isogi_core.frame.lighting import RotatedLight
+from isogi_core.frame.rays.control_pixels import bounces_of_truth
+from isogi_core.frame.rays.own_light import REPLICAS, PixelLight
+from isogi_core.frame.rays.pixel_rays import Paths
+from isogi_core.frame.rays.point_paths import Estimate
+from isogi_core.frame.shot import Shot
+from isogi_core.model.environment import LUMINANCE_WEIGHTS
+from isogi_core.model.view import View
+
+MOST_VIEWS = 8
+"""Number of earlier views whose points are kept."""
+
+FARTHEST = 1.0
+"""Distance of two points, in pixels of the finer view, up to which one takes the other's light."""
+
+LEAST_COSINE = 0.95
+"""Least cosine of the angle between the normals of two such points: 18 degrees."""
+
+MOST_CHANGE = 2.5
+"""Largest relative change of light from one point to the other, in target errors: most changes are
+far smaller, and only a part of the pixels takes light over.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class TracedPoints:
+    """Points of a ``view`` whose light was traced.
+
+    - ``rows`` (height, width) int32: number of the point that a pixel shows, -1 if it has none.
+    - ``points`` (k, 3) float32: their places in the volume's box; ``normals`` (k, 3) float32.
+    - ``estimate``: sums of their paths; ``expected`` (k,): expected errors of the texels there.
+    - ``changes`` (k,): largest relative change of light to a neighbouring pixel.
+    """
+
+    view: View
+    rows: np.ndarray
+    points: np.ndarray
+    normals: np.ndarray
+    estimate: Estimate
+    expected: np.ndarray
+    changes: np.ndarray
+
+    @classmethod
+    def of(cls, shot: Shot, own: PixelLight, carried: np.ndarray) -> Self:
+        """Return the points of a ``shot`` whose ``own`` light was traced for themselves: all but
+        the ``carried`` ones (rows of the G-buffer). Raises Cancelled.
+        """
+        gbuffer = shot.gbuffer
+        traced = ~np.isin(own.places, carried, assume_unique=True)
+        places = own.places[traced]
+        rows = np.full(gbuffer.shape, -1, np.int32)
+        rows.reshape(-1)[gbuffer.pixels[places]] = np.arange(len(places), dtype=np.int32)
+        estimate = Estimate(own.estimate.sums[traced], own.estimate.counts[traced])
+        return cls(
+            shot.view,
+            rows,
+            gbuffer.points[places] * np.array(gbuffer.spacing, np.float32),
+            gbuffer.normals(shot.tiles)[places],
+            estimate,
+            own.expected[places],
+            changes_by_pixel(rows, own.light[traced] @ LUMINANCE_WEIGHTS),
+        )
+
+    @property
+    def nbytes(self) -> int:
+        """The size of its arrays in bytes."""
+        arrays = (self.rows, self.points, self.normals, self.expected, self.changes)
+        return self.estimate.nbytes + sum(each.nbytes for each in arrays)
+
+    def pairs(self, shot: Shot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the rows of points of another ``shot`` that may take over light, ascending; the
+        numbers of the points whose light they take; and their distances in pixels. Raises
+        Cancelled.
+        """
+        gbuffer = shot.gbuffer
+        points = gbuffer.points * np.array(gbuffer.spacing)
+        # Find the pixel of the former view that shows each point, and the point that was traced
+        # there.
+        columns, lines, depths = project(self.view, points)
+        height, width = self.rows.shape
+        seen = (columns >= 0) & (columns < width) & (lines >= 0) & (lines < height) & (depths > 0)
+        places = np.flatnonzero(seen)
+        numbers = self.rows[lines[places].astype(np.int64), columns[places].astype(np.int64)]
+        places = places[numbers >= 0]
+        numbers = numbers[numbers >= 0]
+        # It is the same part of the surface if it is as near as pixels are, and faces the same way.
+        before = depths * pixel_slope(self.view)
+        now = project(shot.view, points)[2] * pixel_slope(shot.view)
+        away = np.linalg.norm(points[places] - self.points[numbers], axis=1)
+        away /= np.minimum(before, now)[places]
+        cosines = (gbuffer.normals(shot.tiles)[places] * self.normals[numbers]).sum(axis=1)
+        near = (away <= FARTHEST) & (cosines >= LEAST_COSINE)
+        # Leave out points at edges of light, where a part of a pixel makes a difference.
+        near &= self.changes[numbers] * away <= MOST_CHANGE * shot.goal.error
+        return places[near], numbers[near], away[near]
+
+
+@dataclass(frozen=True, eq=False)
+class TracedLight:
+    """The points of earlier ``views`` of a surface under one light, the newest first."""
+
+    views: tuple[TracedPoints, ...]
+
+    @property
+    def nbytes(self) -> int:
+        """The size of its arrays in bytes."""
+        return sum(each.nbytes for each in self.views)
+
+    def joined(self, newest: TracedPoints) -> "TracedLight":
+        """Return this light with the points of the ``newest`` view, which replace older ones of the
+        same view.
+        """
+        others = [each for each in self.views if each.view != newest.view]
+        return TracedLight((newest, *others[: MOST_VIEWS - 1]))
+
+    def carried_to(self, shot: Shot, uncertainty: np.ndarray) -> PixelLight:
+        """Return the light that points of a ``shot`` take over, each from the nearest point of all
+        views; it is that of no points if none is near. Raises Cancelled.
+
+        ``uncertainty`` (m,) is that of the luminance of its points. It stands for the expected
+        error of those that take over none.
+        """
+        m = len(shot.gbuffer.points)
+        nearest = np.full(m, np.inf)
+        sums = np.zeros((m, REPLICAS, 3))
+        counts = np.zeros(m, np.int64)
+        expected = np.array(uncertainty, np.float64)
+        # Go through the views, and keep the nearest point of each pixel.
+        for each in self.views:
+            places, numbers, away = each.pairs(shot)
+            nearer = away < nearest[places]
+            places = places[nearer]
+            numbers = numbers[nearer]
+            nearest[places] = away[nearer]
+            sums[places] = each.estimate.sums[numbers]
+            counts[places] = each.estimate.counts[numbers]
+            expected[places] = each.expected[numbers]
+        found = np.flatnonzero(nearest < np.inf)
+        if not len(found):
+            return PixelLight.none()
+        part = shot.gbuffer.part(found, shot.tiles)
+        paths = Paths(shot.light, part, shot.tiles, bounces_of_truth(shot.light))
+        return PixelLight.of(found, Estimate(sums[found], counts[found]), paths, expected)
+
+
+def changes_by_pixel(rows: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return the largest difference of each of the ``values`` (k,) from those of the eight pixels
+    around it, relative to the value; (k,). ``rows`` (height, width) numbers the values, -1 without
+    one.
+    """
+    worst = np.zeros(len(values))
+    padded = np.pad(rows, 1, constant_values=-1)
+    height, width = rows.shape
+    for dy, dx in product((-1, 0, 1), repeat=2):
+        other = padded[1 + dy : 1 + dy + height, 1 + dx : 1 + dx + width]
+        both = (rows >= 0) & (other >= 0)
+        here = rows[both]
+        worst[here] = np.maximum(worst[here], np.abs(values[here] - values[other[both]]))
+    return worst / np.maximum(values, np.finfo(np.float64).tiny)
+
+
+def pixel_slope(view: View) -> float:
+    """Return the height of a pixel of a ``view`` over the distance from the eye."""
+    return 2.0 * math.tan(math.radians(view.camera.fov) / 2.0) / view.height
+
+
+def project(view: View, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the columns and lines at which a ``view`` shows ``points`` (m, 3) of the volume's box,
+    in pixels from the upper left corner, and their depths along the view; each (m,).
+    """
+    right, up, forward = view.camera.basis()
+    ways = points - np.array(view.camera.eye)
+    depths = ways @ forward
+    scale = 1.0 / (np.where(depths > 0.0, depths, np.inf) * pixel_slope(view))
+    columns = view.width / 2.0 + ways @ right * scale
+    lines = view.height / 2.0 - ways @ up * scale
+    return columns, lines, depths
+
+
+def carried_key(light: RotatedLight) -> tuple[Any, ...] | None:
+    """Return the cache key of the light of a surface's points: all that it depends on. None if the
+    picture is a part of a larger one, or if light depends on the direction to the eye.
+    """
+    view = light.view
+    if view.strip is not None or view.columns is not None or light.shine is not None:
+        return None
+    return "TracedLight", view.isovalue, view.window, view.light, view.albedo, view.glow

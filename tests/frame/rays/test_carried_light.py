@@ -1,0 +1,117 @@
+"""Light of pixels that earlier views have traced, carried over to another view of the surface."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from isogi_core.frame.frame import Frame
+from isogi_core.frame.lighting import RotatedLight
+from isogi_core.frame.rays.carried_light import carried_key, changes_by_pixel, project
+from isogi_core.frame.renderer import Renderer
+from isogi_core.model.view import View, quaternion_from_angles
+from isogi_core.reference import trace_reference
+from tests.frame.conftest import SKY, Workbench, luminance
+from tests.loaded import load_scene
+
+TARGET = 0.02
+SIZE = 128
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Workbench:
+    """A surface whose texels are too far apart for the target, so that pixels need light."""
+    scene = load_scene("demo:orbital", lights=[SKY], bounces=2, lattice=0.25, target_error=TARGET)
+    return Workbench(scene, tmp_path_factory.mktemp("carried"))
+
+
+def apart(bench: Workbench) -> Workbench:
+    """The same scene and store by a renderer that has drawn nothing."""
+    other = bench.again()
+    other.renderer = Renderer(other.caches, bench.renderer.tiles)
+    return other
+
+
+def finished(bench: Workbench, view: View) -> Frame:
+    """The picture of a view, when its check has ended."""
+    frame = bench.bake(view)
+    while bench.renderer.refine(view):
+        frame = bench.bake(view)
+    return frame
+
+
+def traced(frame: Frame) -> set[int]:
+    """Pixels of a picture whose light was traced for themselves, and not carried over."""
+    known = frame.quality.known
+    assert known is not None
+    return set(known.own.places.tolist()) - set(known.carried.tolist())
+
+
+def carried(frame: Frame) -> int:
+    """Number of points that took light over."""
+    assert frame.quality.known is not None
+    return len(frame.quality.known.carried)
+
+
+def true_error(bench: Workbench, frame: Frame) -> float:
+    """The error of a picture against long paths, less their noise."""
+    reference = trace_reference(bench.renderer, frame.view, 1024)
+    on = frame.state > 0
+    true = luminance(replace(frame, radiance=reference.mean))
+    wrong = np.sqrt(((luminance(frame) - true) ** 2).mean()) / true.mean()
+    assert on.any()
+    return math.sqrt(max(wrong**2 - reference.noise**2, 0.0))
+
+
+def test_a_view_beside_another_takes_its_light(bench: Workbench) -> None:
+    """It reaches the target with fewer paths than alone, and its error is as told."""
+    first = finished(bench, bench.view(azimuth=30.0, size=SIZE))
+    assert traced(first) and not carried(first)
+    view = bench.view(azimuth=33.0, size=SIZE)
+    alone = finished(apart(bench), view)
+    after = finished(bench, view)
+    assert carried(after) > 0.2 * len(traced(alone))
+    assert len(traced(after)) < len(traced(alone))
+    assert after.final and after.total.high <= TARGET
+    assert true_error(bench, after) < 1.2 * TARGET
+    assert after.version != alone.version
+
+
+def test_the_same_camera_takes_all_light(bench: Workbench) -> None:
+    view = bench.view(azimuth=30.0, size=SIZE)
+    first = finished(bench, view)
+    nearly = finished(bench, bench.view(azimuth=30.0001, size=SIZE))
+    assert carried(nearly) > 0.95 * len(traced(first)) and not traced(nearly)
+    np.testing.assert_allclose(luminance(nearly), luminance(first), rtol=0.1)
+
+
+def test_other_light_is_not_taken(bench: Workbench) -> None:
+    finished(bench, bench.view(azimuth=30.0, size=SIZE))
+    turned = replace(
+        bench.view(azimuth=30.0, size=SIZE), light=quaternion_from_angles(90.0, 0.0, 0.0)
+    )
+    assert not carried(finished(bench, turned))
+
+
+def test_light_of_a_part_is_not_carried(bench: Workbench) -> None:
+    view = bench.view(size=SIZE)
+    spec = bench.caches.spec("gi")
+    for other in (replace(view, strip=(0, 2 * SIZE)), replace(view, columns=(0, 2 * SIZE))):
+        assert carried_key(RotatedLight(spec, other)) is None
+    assert carried_key(RotatedLight(spec, view)) is not None
+
+
+def test_points_project_to_their_pixels(bench: Workbench) -> None:
+    view = bench.view(azimuth=200.0, size=SIZE)
+    gbuffer = bench.renderer.gbuffer(view)
+    columns, lines, depths = project(view, gbuffer.points * np.array(gbuffer.spacing))
+    rows = lines.astype(int) * SIZE + columns.astype(int)
+    assert np.array_equal(rows, gbuffer.pixels) and (depths > 0).all()
+    np.testing.assert_allclose(columns % 1.0, 0.5, atol=1e-3)
+
+
+def test_changes_are_those_to_the_eight_neighbours() -> None:
+    rows = np.array([[0, 1, -1], [2, -1, -1], [-1, -1, 3]], np.int32)
+    values = np.array([1.0, 1.5, 0.5, 9.0])
+    np.testing.assert_allclose(changes_by_pixel(rows, values), [0.5, 2.0 / 3.0, 2.0, 0.0])
