@@ -420,12 +420,15 @@ class Baker:
         """Have views read the chunk ``index`` of the bake ``name`` again, as the writer has found
         that another process has added light to it.
 
-        Listeners are told that no more of the chunk will be baked, even if it has open requests.
+        Listeners are told that more of it will come if it has open requests.
         """
         bake = self._bakes.get(name)
-        if bake is not None:
-            bake.arrived(index)
-            self._notify(name, index, False)
+        if bake is None:
+            return
+        bake.arrived(index)
+        with self._changed:
+            more = bool(self._queue.open([(name, index)]))
+        self._notify(name, index, more)
 
     def _shared(self, one: str, other: str) -> bool:
         """Return True if two bakes write to the same layer,

@@ -35,7 +35,7 @@ ABSENT_ERRORS = (FileNotFoundError, NotADirectoryError)
 TRIAL_OBJECT = bytes(1 << 16)
 """Bytes that are written and deleted to test if there is room."""
 
-FOLDER_TRIES = 9
+FOLDER_TRIES = 64
 """Tries of making a folder for an object while others delete it as empty."""
 
 

@@ -218,7 +218,11 @@ class Store:
         """List all objects with sizes and dates, half-written ones included, sorted by key."""
         self._check_after_failure()
         with self._translated_errors("list what is in"):
-            return sorted(self._backend.entries())
+            found = sorted(self._backend.entries())
+        # A store that is gone lists nothing either: make sure that it is there.
+        if not found:
+            self.check_reachable()
+        return found
 
     def layers(self) -> list[str]:
         """List the folders at the top of the store: digests of layers, ``costs`` and others."""
@@ -305,7 +309,13 @@ class Store:
         self._checked_until = -1.0
         self.check_reachable()
         try:
-            self._backend.check_writable(SENTINEL_CONTENT)
+            # A place without a sentinel takes no writes until one can be made there.
+            if self._without_sentinel:
+                with suppress(ChangedError):
+                    self._backend.create_sentinel(SENTINEL_CONTENT)
+                self._without_sentinel = False
+            else:
+                self._backend.check_writable(SENTINEL_CONTENT)
             self.read_only = False
         except Exception as error:
             trouble = store_error("write to", self.url, error)

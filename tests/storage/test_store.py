@@ -354,6 +354,19 @@ def test_a_store_that_may_only_be_read_is_read(s3: S3Server) -> None:
     store.put(OTHER, b"", None)
 
 
+def test_an_empty_bucket_that_may_only_be_read_takes_no_writes_until_it_may(s3: S3Server) -> None:
+    s3.fault = lambda call: 403 if call.method == "PUT" else None
+    store = Store(StoreUrl(s3.url, **IMPATIENT))
+    store.open()
+    with pytest.raises(StoreReadOnlyError):
+        store.check_writable()
+    assert store.read_only
+    s3.fault = lambda call: None
+    store.check_writable()
+    assert not store.read_only
+    store.put(OTHER, b"", None)
+
+
 def test_a_store_without_room_is_full_and_is_read(s3: S3Server) -> None:
     store = bucket(s3)
     s3.fault = lambda call: 507 if call.method == "PUT" else None
