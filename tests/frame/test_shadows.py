@@ -127,7 +127,9 @@ def rims_seen(field: Any, lamps: LampArrays, k: int, m: int, p: np.ndarray) -> l
     """What a point sees along rays to a lobe's rim; to its middle, where it is sharp."""
     rim = [lamps.places[k]]
     if np.linalg.norm(lamps.edges[k, 0]) > SHARP_SINE:
-        first = 0.5 * math.pi * point_2d(np.uint64(mix(m, streams.LOBES_STREAM)), 0, k)[0]
+        dimension = len(lamps.kinds) + k
+        seed = np.uint64(mix(m, streams.LOBES_STREAM))
+        first = 0.5 * math.pi * point_2d(seed, 0, dimension)[0]
         rim = [
             np.array(rim_way(lamps, k, first + 2.0 * math.pi * i / RIM_RAYS))
             for i in range(RIM_RAYS)
@@ -199,6 +201,25 @@ def test_light_of_lobes_is_that_of_all_rays(degrees: float, spacing: Spacing) ->
     same = np.isclose(lit, expected, rtol=1e-5, atol=1e-6).all(axis=1)
     assert same.mean() > 0.99 and np.abs((lit - expected)[:, :3]).max() < 0.25
     assert (expected[:, 3] > 0.0).any() == (degrees > 1.0), "half-shadows are of wide lobes"
+
+
+def test_spots_of_light_amid_a_shadow_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A shelf of narrow holes: each point has the answer of its ray, but for the loneliest."""
+    holes = np.hypot((X % 5.0) - 2.5, (Y % 7.0) - 3.5) - 1.2
+    shelf = np.minimum(np.minimum(Z - 24.0, 27.0 - Z), holes)
+    field = np.maximum(FLOOR - Z, shelf)
+    monkeypatch.setitem(globals(), "ROOM", field)
+    lamps = lamps_of(((0.05, 0.1, 1.0), 0.2, (1.0,) * 3))
+    points = floor(40)
+    lit = light(lamps, points)[:, 0]
+    traced = field_of(field, (1.0, 1.0, 1.0))
+    way = lamps.places[0]
+    expected = way[2] * np.array([free(traced, p, way) for p in points.astype(float)])
+    assert 0.05 < (expected > 0.0).mean() < 0.4
+    assert (np.abs(lit - expected) > 1e-6).mean() < 0.005
+    monkeypatch.setattr(lobe_light, "DAPPLE_REACH", 0)
+    before = light(lamps, points)[:, 0]
+    assert (np.abs(before - expected) > 1e-6).mean() > 0.01
 
 
 @pytest.mark.parametrize(("side", "believed"), [(48, True), (16, False)])
