@@ -23,6 +23,7 @@ from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.shading import (
     carry_irradiance_ratios,
     carry_texel_light,
+    colour_surface,
     fill_texel_records,
     filter_texel_light,
 )
@@ -59,7 +60,8 @@ def draw_coded(renderer: Renderer, view: View, coding: Coding, target: float) ->
         reading = read_texels(texels, held.slots, loader.pool, Until(target, FIRST_LEVEL), tiles)
         numbers = raw_numbers(reading, loader.pool)
     about = normals_of(renderer, texels, tiles)
-    # Encode and decode them, and go on as a card does: light, filter, interpolation, lobes.
+    # Encode and decode them, and go on as a card does: light, filter, interpolation, lobes,
+    # colours.
     lit = fold(coding.numbers(coding.codes(numbers)), light)
     if reading.grainy.any():
         reading, lit = filter_texel_light(texels, reading, lit, about, light, tiles)
@@ -71,6 +73,7 @@ def draw_coded(renderer: Renderer, view: View, coding: Coding, target: float) ->
         picture = carry_texel_light(texels, reading, lit, points, light, tiles)
     if light.spec.lobes:
         add_lobes(gbuffer.pixels, renderer.lobes(light, gbuffer).lit, light.spec.unit, picture)
+    colour_surface(gbuffer, light, picture, tiles)
     return picture
 
 
