@@ -57,7 +57,8 @@ TESTS: tuple[tuple[Obstacle, Test], ...] = (
 )
 
 VOLUME_TOO_LARGE = Obstacle(
-    "volume too large", f"The volume takes more than {BYTES >> 20} MB: the server draws it."
+    "volume too large",
+    f"The volume, with its colours, takes more than {BYTES >> 20} MB: the server draws it.",
 )
 
 

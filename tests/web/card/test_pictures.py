@@ -55,7 +55,7 @@ def lit_bench(make_bench: Make, demo: str = "orbital", **settings: Any) -> Workb
     return bench
 
 
-LAMP = {"type": "directional", "direction": [1.0, -0.6, 0.8], "irradiance": 2.0}
+LAMP = {"type": "directional", "azimuth": -30, "elevation": 40, "irradiance": 2.0}
 LOCAL = [shading for shading in SHADINGS if shading != "gi"]
 
 
