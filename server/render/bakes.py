@@ -114,7 +114,9 @@ class BackgroundBake:
         self._viewer = viewer
         self.bake = bake
         self.chunks = [demand.index for demand in stage.demands]
-        self.coming = baker.request(bake, stage.demands, stage.target, viewer, stage.enough)
+        self.coming = baker.request(
+            bake, stage.demands, stage.goal.error, viewer, stage.goal.samples
+        )
 
     def waiting(self) -> int:
         """Return the number of its ``chunks`` that are neither baked nor given up. Call it now

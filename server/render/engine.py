@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from isogi_core.bake.bake_spec import SPECS, spec_name
+from isogi_core.bake.noise import Goal
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache.chunk_store import default_store
 from isogi_core.cache.costs import Cost
@@ -384,7 +385,7 @@ class RenderEngine:
         self._find(scene)
         bake, stage = self.lacking(scene, frame)
         return checking | self.baker.request(
-            bake, stage.demands, stage.target, viewer, stage.enough
+            bake, stage.demands, stage.goal.error, viewer, stage.goal.samples
         )
 
     def lacking(self, scene: str, frame: Frame) -> tuple[str, Stage]:
@@ -395,7 +396,7 @@ class RenderEngine:
         empty for a path-traced frame, which needs no texels.
         """
         frame = frame.quality.finer or frame
-        stage = next(iter(frame.stages), Stage((), self.planned(scene).target_error))
+        stage = next(iter(frame.stages), Stage((), Goal(self.planned(scene).target_error)))
         spec = spec_name(frame.view.shading)
         return self.bake_at(scene, spec, stage, frame.quality.fineness), stage
 

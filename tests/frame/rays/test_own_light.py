@@ -389,7 +389,7 @@ def baked(bench: Workbench, view: View) -> Frame:
             caches = stage.caches or bench.caches
             loader = caches.of("gi") if stage.shown is None else caches.projected(stage.shown)
             for demand in stage.demands:
-                refine_chunk(loader, frame.quality.enough, stage.target, demand)
+                refine_chunk(loader, frame.quality.enough, stage.goal.error, demand)
     return frame
 
 

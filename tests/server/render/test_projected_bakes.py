@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from isogi_core.bake.noise import Goal
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache import upkeep as pruning
 from isogi_core.cache.scene_caches import Caches
@@ -87,7 +88,7 @@ def test_the_caches_that_asked_last_hear_of_new_light(
         Caches(PreparedScene(scene), tmp_path, 1 << 20, makes=False) for _ in range(2)
     )
     names = {
-        bakes.side("a", "gi", Stage((), 0.3, caches=each), share_nothing)
+        bakes.side("a", "gi", Stage((), Goal(0.3), caches=each), share_nothing)
         for each in (former, latter)
     }
     assert len(names) == len(baker.bakes) == 1
@@ -135,14 +136,14 @@ def test_projected_texels_have_a_bake_and_a_time_left(engine: RenderEngine, scen
     name = scene.id
     target = scene.target_error
     while (frame := engine.survey(name, view, target)).stages[0].shown is None:
-        assert engine.lacking(name, frame)[0] == name and frame.stages[0].target >= target
+        assert engine.lacking(name, frame)[0] == name and frame.stages[0].goal.error >= target
         engine.want(name, frame, target, GUEST_VIEWER)
         time.sleep(0.01)
     bake, stage = engine.lacking(name, frame)
     assert frame.provisional and frame.quality.projection and bake != name
     assert (
         places_of(stage.demands) == places_of(frame.quality.projection.demands) != []
-        and stage.target == target
+        and stage.goal.error == target
     )
     moving = engine.survey(name, replace(view, moving=True), target)
     assert engine.lacking(name, moving)[0] == name and moving.quality.projection is None
