@@ -425,7 +425,7 @@ def test_coded_pictures_have_colours_by_data(workbench: Make) -> None:
     """As isogi's picture has them: the page multiplies the light of a white surface."""
     table = {"use": "colour", "of": "gradient", "map": "coolwarm"}
     kept: dict[str, Any] = {"bounces": 2, "target_error": LOOSE, "projected": False}
-    bench = workbench(load_scene("demo:orbital", lights=[SKY], volumes=[table], **kept))
+    bench = workbench(load_scene("demo:orbital", lights=[CONSTANT], volumes=[table], **kept))
     view = bench.view(size=40)
     bench.bake(view)
     framebuffer = draw_coded(bench.renderer, view, coding_of(bench, 1e-4), LOOSE)
