@@ -12,6 +12,7 @@ import numpy as np
 from isogi_core.files.scene_file import write_material_text
 from isogi_core.files.vector import Vector, triple
 from isogi_core.frame.card.blocks import CHUNKS, raw_scale
+from isogi_core.frame.card.colour_codes import ColourCodes
 from isogi_core.frame.card.looks import SeenChunk, seen_chunks
 from isogi_core.frame.card.obstacles import BYTES, Obstacle, find_obstacles
 from isogi_core.frame.film import COLOURS, SCALE, ground_of, lit
@@ -39,15 +40,16 @@ from isogi_core.prepared.isosurface_mesh import surface_size
 from isogi_core.prepared.prepared_scene import PreparedScene
 from server.card_schemas import (
     CardChunk,
+    CardColours,
     CardGrid,
     CardGrounds,
-    CardLambert,
     CardLattice,
     CardLayer,
     CardLight,
     CardLimits,
     CardLinks,
     CardLobe,
+    CardModel,
     CardPlan,
     CardScene,
     CardSchema,
@@ -426,7 +428,7 @@ def coverage_schema(frame: Frame, time_left: TimeLeft | None) -> Coverage:
     )
 
 
-CARD_FORMAT = 1
+CARD_FORMAT = 2
 """Version of the format of card data; raised if older pages cannot read it."""
 
 VOXELS_KEPT = Obstacle(
@@ -444,7 +446,9 @@ def card_obstacles(prepared: PreparedScene, view: View, hands_out: bool) -> list
     out voxels. Raises ViewError.
     """
     own = [] if hands_out else [VOXELS_KEPT]
-    return own + find_obstacles(prepared.scene, view, prepared.voxel_codes.nbytes)
+    colours = ColourCodes.of(prepared.scene)
+    nbytes = prepared.voxel_codes.nbytes + (colours.nbytes if colours else 0)
+    return own + find_obstacles(prepared.scene, view, nbytes)
 
 
 def card_schema(
@@ -476,20 +480,20 @@ def card_scene(renderer: Renderer, view: View, query: Sequence[tuple[str, str]])
     spec = renderer.caches.spec("gi")
     scene = prepared.scene
     volume = prepared.scene.volume
-    # The local light model that a card draws while texels are missing.
-    model = RotatedLight(spec, view).local_model("lambert", (0.0, 0.0))
+    unturned = RotatedLight(spec, replace(view, light=IDENTITY))
     return CardScene(
         grid=grid_of(scene),
         values=CardValues(offset=volume.offset, scale=volume.scale, core=volume.core),
         volume=volume_of(prepared, query),
+        colours=colours_of(scene, triple(np.array(spec.albedo)), query),
         lattice=CardLattice(
             size=prepared.shape[::-1],
             density=prepared.lattice.density,
             chunk=prepared.lattice.chunk,
         ),
         plan=plan_of(renderer),
-        light=card_light(RotatedLight(spec, replace(view, light=IDENTITY))),
-        lambert=CardLambert(key=model.key, sun=model.sun, ambient=model.ambient),
+        light=card_light(unturned),
+        model=card_model(unturned),
         exposure=scene.default_exposure,
         tone=TONE,
         grounds=CardGrounds(
@@ -528,6 +532,33 @@ def volume_of(prepared: PreparedScene, query: Sequence[tuple[str, str]]) -> Card
         hole=codes.hole,
         bytes=codes.nbytes,
         slabs=slabs,
+    )
+
+
+def colours_of(
+    scene: Scene, brightest: tuple[float, float, float], query: Sequence[tuple[str, str]]
+) -> CardColours | None:
+    """Return the colours by data of a scene whose texels hold light of the ``brightest`` albedo,
+    and the addresses of their slabs; None if it has none.
+    """
+    found = ColourCodes.of(scene)
+    if found is None:
+        return None
+    more = urlencode([*query, ("version", found.version)])
+    colours = found.colours
+    # The table ends with the last code that differs from code 0.
+    table = colours.table
+    last = int(np.flatnonzero((table != table[0]).any(axis=1)).max(initial=0))
+    return CardColours(
+        kind="labels" if colours.places.ndim == 4 else "values",
+        size=colours.places.shape[2::-1],
+        step=colours.step,
+        table=[triple(albedo) for albedo in table[: last + 1]],
+        brightest=brightest,
+        bytes=found.nbytes,
+        slabs=[
+            CardSlab(first=a, last=b, href=f"card/colours/{a}-{b}?{more}") for a, b in found.slabs
+        ],
     )
 
 
@@ -580,6 +611,19 @@ def card_light(light: RotatedLight) -> CardLight:
             CardLobe(towards=triple(place), edges=(triple(one), triple(other)), shine=colour)
             for place, (one, other), colour in zip(lobes.places, lobes.edges, shine, strict=True)
         ],
+    )
+
+
+def card_model(light: RotatedLight) -> CardModel:
+    """Return the constants of the local models under the unturned ``light``."""
+    model = light.local_model("phong", (0.0, 0.0))
+    return CardModel(
+        key=model.key,
+        follows=light.key_follows,
+        sun=model.sun,
+        ambient=model.ambient,
+        gloss=model.shine,
+        exponent=model.exponent,
     )
 
 

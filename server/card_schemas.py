@@ -2,6 +2,8 @@
 docs/card.md.
 """
 
+from typing import Literal
+
 from pydantic import BaseModel
 
 from isogi_core.prepared.active_cell_maps import CodeType
@@ -52,6 +54,23 @@ class CardVolume(BaseModel):
     gain: float
     base: float
     hole: float | None
+    bytes: int
+    slabs: list[CardSlab]
+
+
+class CardColours(BaseModel):
+    """Colours by data at places ``step`` voxels apart, ``size`` along x, y, z: codes of values, or
+    two labels and the share of the second in units of 1/510.
+
+    The ``table`` has the albedo of each code, linear RGB; code 0 stands for no value, and codes
+    beyond the table have its albedo. Light of texels is of the ``brightest`` albedo.
+    """
+
+    kind: Literal["values", "labels"]
+    size: tuple[int, int, int]
+    step: Triple
+    table: list[Triple]
+    brightest: Triple
     bytes: int
     slabs: list[CardSlab]
 
@@ -125,12 +144,20 @@ class CardLight(BaseModel):
     lobes: list[CardLobe]
 
 
-class CardLambert(BaseModel):
-    """The key light of the request's view: radiance is ``ambient + max(normal · key, 0) · sun``."""
+class CardModel(BaseModel):
+    """Constants of the local models: the direction to the key light, its light and that of all
+    other light on the albedo, and strength and exponent of Phong's highlight.
+
+    The key is unturned, and ``follows`` the light's rotation, nothing, or the camera. In the last
+    case ``key`` has no meaning.
+    """
 
     key: Triple
+    follows: Literal["nothing", "light", "camera"]
     sun: Triple
     ambient: Triple
+    gloss: float
+    exponent: float
 
 
 class CardTone(BaseModel):
@@ -171,10 +198,11 @@ class CardScene(BaseModel):
     grid: CardGrid
     values: CardValues
     volume: CardVolume
+    colours: CardColours | None
     lattice: CardLattice
     plan: CardPlan
     light: CardLight
-    lambert: CardLambert
+    model: CardModel
     exposure: float
     tone: CardTone
     grounds: CardGrounds

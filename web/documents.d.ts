@@ -31,6 +31,23 @@ export interface CardChunks {
 }
 
 /**
+ * Colours by data at places `step` voxels apart, `size` along x, y, z: codes of values, or
+ * two labels and the share of the second in units of 1/510.
+ *
+ * The `table` has the albedo of each code, linear RGB; code 0 stands for no value, and codes
+ * beyond the table have its albedo. Light of texels is of the `brightest` albedo.
+ */
+export interface CardColours {
+  kind: "values" | "labels";
+  size: [number, number, number];
+  step: [number, number, number];
+  table: Array<[number, number, number]>;
+  brightest: [number, number, number];
+  bytes: number;
+  slabs: Array<CardSlab>;
+}
+
+/**
  * Voxels along x, y, z, and their place in the world: `world = rotation · box + origin`,
  * `box = voxel index · spacing`.
  *
@@ -52,15 +69,6 @@ export interface CardGrid {
 export interface CardGrounds {
   dark: [number, number, number];
   light: [number, number, number];
-}
-
-/**
- * The key light of the request's view: radiance is `ambient + max(normal · key, 0) · sun`.
- */
-export interface CardLambert {
-  key: [number, number, number];
-  sun: [number, number, number];
-  ambient: [number, number, number];
 }
 
 /**
@@ -122,6 +130,22 @@ export interface CardLobe {
 }
 
 /**
+ * Constants of the local models: the direction to the key light, its light and that of all
+ * other light on the albedo, and strength and exponent of Phong's highlight.
+ *
+ * The key is unturned, and `follows` the light's rotation, nothing, or the camera. In the last
+ * case `key` has no meaning.
+ */
+export interface CardModel {
+  key: [number, number, number];
+  follows: "nothing" | "light" | "camera";
+  sun: [number, number, number];
+  ambient: [number, number, number];
+  gloss: number;
+  exponent: number;
+}
+
+/**
  * The light that texels keep: `columns` numbers for each channel, of reflected light only
  * from `straight` on.
  *
@@ -146,10 +170,11 @@ export interface CardScene {
   grid: CardGrid;
   values: CardValues;
   volume: CardVolume;
+  colours: CardColours | null;
   lattice: CardLattice;
   plan: CardPlan;
   light: CardLight;
-  lambert: CardLambert;
+  model: CardModel;
   exposure: number;
   tone: CardTone;
   grounds: CardGrounds;

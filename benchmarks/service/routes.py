@@ -77,6 +77,7 @@ COSTLIEST: dict[str, tuple[str, ...]] = {
     f"{SCENE}/events": (f"?{LARGEST}&{NEAR}", f"?{MIDDLE}&{NEAR}"),
     f"{SCENE}/card": (f"?{LARGEST}&cut=x>{{cut}}",),
     f"{SCENE}/card/volume/{{layers}}": ("?cut=x>{cut}",),
+    f"{SCENE}/card/colours/{{layers}}": ("?cut=x>{cut}",),
     f"{SCENE}/card/chunks": (f"?{LARGEST}&{NEAR}", f"?{LONGEST}&{ANYWHERE}"),
     f"{SCENE}/card/light/{{chunks}}": ("?yaw={turn}",),
     f"{SCENE}/card/transfer/{{chunks}}": ("?cut=x>{cut}",),

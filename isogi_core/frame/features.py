@@ -107,7 +107,6 @@ GLOW = Feature(
 COLOURS = Feature(
     "colours",
     lambda scene: scene.surfaces.colours is not None,
-    "Colours by data are found by the server.",
     kernels=(fill_albedos,),
 )
 

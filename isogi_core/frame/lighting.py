@@ -6,6 +6,7 @@ import hashlib
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from typing import Literal
 
 import numpy as np
 
@@ -26,7 +27,7 @@ from isogi_core.model.scene_plan import Layer
 from isogi_core.model.view import Camera, View, rotation_matrix
 from isogi_core.plan.scene import Scene
 
-PICTURE_FORMAT = 13
+PICTURE_FORMAT = 14
 """Number of the format of pictures. It counts up when the same light makes another picture, so
 that browsers ask for theirs again.
 """
@@ -278,10 +279,10 @@ class RotatedLight:
            KEY_LIGHT_SHARE of the mean.
         """
         scene = self.spec.prepared.scene
-        directions, irradiances = scene.lighting.lamps.seen_from(scene.volume.centre)
-        strengths = irradiances @ LUMINANCE_WEIGHTS
         # Case 1: take the strongest lamp.
-        if strengths.any():
+        if self.key_follows == "nothing":
+            directions, irradiances = scene.lighting.lamps.seen_from(scene.volume.centre)
+            strengths = irradiances @ LUMINANCE_WEIGHTS
             best = int(strengths.argmax())
             towards = triple(directions[best])
             others = (irradiances.sum(axis=0) - irradiances[best]) / (4.0 * math.pi)
@@ -290,6 +291,33 @@ class RotatedLight:
             if scene.lighting.room.any:
                 return towards, KEY_LIGHT_SHARE * key, (1.0 - KEY_LIGHT_SHARE) * key + rest
             return towards, key, rest
+        # Case 3: the environment is even, or nearly so.
+        if self.key_follows == "camera":
+            ambient = (1.0 - KEY_LIGHT_SHARE) * self.mean
+            return shoulder_light(self.view.camera), KEY_LIGHT_SHARE * self.mean, ambient
+        # Case 2: the directional light has a share of all light, which is 4π times the mean.
+        pull, share = self._pull
+        direction = pull / np.linalg.norm(pull)
+        share = min(share, 0.9)
+        return triple(direction), 4.0 * share * self.mean, (1.0 - share) * self.mean
+
+    @property
+    def key_follows(self) -> Literal["nothing", "light", "camera"]:
+        """Return what the key light turns with: nothing, the environment, or the camera; cases 1
+        to 3 of ``key_light``.
+        """
+        scene = self.spec.prepared.scene
+        _, irradiances = scene.lighting.lamps.seen_from(scene.volume.centre)
+        if (irradiances @ LUMINANCE_WEIGHTS).any():
+            return "nothing"
+        _, share = self._pull
+        return "light" if share > KEY_SHARE else "camera"
+
+    @cached_property
+    def _pull(self) -> tuple[np.ndarray, float]:
+        """The direction to the brightest side of the environment, (3,) of any length, and the share
+        of all light, 4π times the mean, that a directional light from there has; 0 without light.
+        """
         # The coefficients of band 1 for x, y and z point to the brightest side. The sum of their
         # squares for a directional light D is D² · 3 / 4π.
         band_1 = np.zeros((3, 3))
@@ -298,14 +326,7 @@ class RotatedLight:
         pull = band_1 @ LUMINANCE_WEIGHTS
         strength = float(np.linalg.norm(pull)) * math.sqrt(4.0 * math.pi / 3.0)
         mean = float(self.mean @ LUMINANCE_WEIGHTS)
-        # Case 3: the environment is even, or nearly so.
-        if strength <= KEY_SHARE * 4.0 * math.pi * mean:
-            ambient = (1.0 - KEY_LIGHT_SHARE) * self.mean
-            return shoulder_light(self.view.camera), KEY_LIGHT_SHARE * self.mean, ambient
-        # Case 2: the directional light has a share of all light, which is 4π times the mean.
-        share = min(strength / (4.0 * math.pi * mean), 0.9)
-        direction = pull / np.linalg.norm(pull)
-        return triple(direction), 4.0 * share * self.mean, (1.0 - share) * self.mean
+        return pull, strength / (4.0 * math.pi * mean) if mean > 0.0 else 0.0
 
 
 def rotated_by(light: np.ndarray, matrix: np.ndarray) -> np.ndarray:

@@ -28,6 +28,7 @@ from server.errors import ParameterError
 from server.exports.live_page import (
     PAGE,
     Span,
+    colour_files,
     document_of,
     first_view,
     light_files,
@@ -205,7 +206,7 @@ def page_versions(
     codings = [coding_at(renderer, share * planned.goal) for share in ROUNDING_SHARES]
     # Measure the pictures with the first, finest coding.
     baked = bake_range(context, (span.low, span.high), codings[0], views, planned.goal)
-    volume = volume_files(renderer, span)
+    volume = {**volume_files(renderer, span), **colour_files(renderer, span)}
     document = document_of(renderer, planned.params, planned.view, span)
     first = first_view(renderer, planned.params, document["scene"]["start"], settings)
     poster = poster_of(renderer, planned.params, first, target)

@@ -9,8 +9,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from pydantic import BaseModel
+
 from isogi_core.frame.card.blocks import CHUNKS, coded_chunks
 from isogi_core.frame.card.coding import Coding
+from isogi_core.frame.card.colour_codes import ColourCodes
 from isogi_core.frame.card.looks import seen_chunks
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.scene_plan import MAX_SAMPLES
@@ -29,6 +32,9 @@ from server.views import view_of
 
 FIRST_PAGE_MODULE = "published/published.js"
 """The first module of the page."""
+
+FOLDERS = ("light", "volume", "colours")
+"""Folders of a page's files."""
 
 PAGE = "index.html"
 """The HTML file in a folder."""
@@ -95,9 +101,21 @@ def volume_files(renderer: Renderer, span: Span) -> dict[str, bytes]:
     return {name: compressed(content) for name, content in slabs}
 
 
-def slab_name(first: int, last: int) -> str:
+def colour_files(renderer: Renderer, span: Span) -> dict[str, bytes]:
+    """Return the codes of colours by data that isosurfaces in the ``span`` show, slab by slab; none
+    if the scene has no colours.
+    """
+    found = ColourCodes.of(renderer.prepared.scene, (span.low, span.high))
+    if found is None:
+        return {}
+    return {
+        slab_name(a, b, "colours"): compressed(found.layers(a, b).tobytes()) for a, b in found.slabs
+    }
+
+
+def slab_name(first: int, last: int, folder: str = "volume") -> str:
     """Return the file name of a range of layers."""
-    return f"volume/{first}-{last}.bin"
+    return f"{folder}/{first}-{last}.bin"
 
 
 def light_files(
@@ -157,10 +175,14 @@ def document_of(renderer: Renderer, params: FrameParams, view: View, span: Span)
         CardSlab(first=a, last=b, href=slab_name(a, b))
         for a, b in renderer.prepared.voxel_codes.slabs
     ]
-    volume = card.volume.model_copy(update={"slabs": slabs})
-    own = card.model_copy(update={"volume": volume}).model_dump(
-        mode="json", exclude={"links", "limits"}
-    )
+    parts: dict[str, BaseModel] = {"volume": card.volume.model_copy(update={"slabs": slabs})}
+    if colours := card.colours:
+        named = [
+            each.model_copy(update={"href": slab_name(each.first, each.last, "colours")})
+            for each in colours.slabs
+        ]
+        parts["colours"] = colours.model_copy(update={"slabs": named})
+    own = card.model_copy(update=parts).model_dump(mode="json", exclude={"links", "limits"})
     return {"scene": scene_of(renderer, params, view, span), "card": own}
 
 
@@ -238,7 +260,7 @@ def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         write_whole(folder / name, files[name])
     # Delete files that the new page does not name.
-    for old in (path for room in ("light", "volume") for path in (folder / room).glob("*.bin")):
+    for old in (path for room in FOLDERS for path in (folder / room).glob("*.bin")):
         if old.relative_to(folder).as_posix() not in files:
             old.unlink()
 

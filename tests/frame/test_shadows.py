@@ -127,7 +127,9 @@ def rims_seen(field: Any, lamps: LampArrays, k: int, m: int, p: np.ndarray) -> l
     """What a point sees along rays to a lobe's rim; to its middle, where it is sharp."""
     rim = [lamps.places[k]]
     if np.linalg.norm(lamps.edges[k, 0]) > SHARP_SINE:
-        first = 0.5 * math.pi * point_2d(np.uint64(mix(m, streams.LOBES_STREAM)), 0, k)[0]
+        dimension = len(lamps.kinds) + k
+        seed = np.uint64(mix(m, streams.LOBES_STREAM))
+        first = 0.5 * math.pi * point_2d(seed, 0, dimension)[0]
         rim = [
             np.array(rim_way(lamps, k, first + 2.0 * math.pi * i / RIM_RAYS))
             for i in range(RIM_RAYS)
@@ -199,6 +201,33 @@ def test_light_of_lobes_is_that_of_all_rays(degrees: float, spacing: Spacing) ->
     same = np.isclose(lit, expected, rtol=1e-5, atol=1e-6).all(axis=1)
     assert same.mean() > 0.99 and np.abs((lit - expected)[:, :3]).max() < 0.25
     assert (expected[:, 3] > 0.0).any() == (degrees > 1.0), "half-shadows are of wide lobes"
+
+
+def leaves(seed: int, shade: float) -> np.ndarray:
+    """A field that is above 0 in a canopy over a floor, with gaps of all sizes."""
+    rng = np.random.default_rng(seed)
+    ways, phases = rng.normal(size=(12, 2)), rng.uniform(0.0, 2.0 * math.pi, 12)
+    waves = [np.cos(kx * X + ky * Y + p) for (kx, ky), p in zip(ways, phases, strict=True)]
+    canopy = np.minimum(np.minimum(Z - 24.0, 27.0 - Z), np.sum(waves, axis=0) + shade)
+    return np.maximum(FLOOR - Z, canopy)
+
+
+def test_spots_of_light_below_leaves_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the ray of each point: seven in ten of those that its neighbours made wrong are right."""
+    lamps = lamps_of(((0.05, 0.1, 1.0), 0.2, (1.0,) * 3))
+    wrong = dict.fromkeys((0, lobe_light.DAPPLE_REACH), 0)
+    for seed, shade, side in ((1, 2.0, 40), (2, 3.0, 40), (2, 2.0, 24)):
+        canopy = leaves(seed, shade)
+        monkeypatch.setitem(globals(), "ROOM", canopy)
+        points = floor(side)
+        field = field_of(canopy, (1.0, 1.0, 1.0))
+        reached = [free(field, p, lamps.places[0]) for p in points.astype(float)]
+        for reach in wrong:
+            monkeypatch.setattr(lobe_light, "DAPPLE_REACH", reach)
+            lit = light(lamps, points)[:, 0]
+            wrong[reach] += int(((lit > 0.0) != reached).sum())
+    before, after = wrong.values()
+    assert before > 15 and after <= 0.3 * before, wrong
 
 
 @pytest.mark.parametrize(("side", "believed"), [(48, True), (16, False)])

@@ -3,7 +3,7 @@
  * page.
  *
  *     const card = Card.open(canvas);          // throws a Refusal: then the server draws
- *     await card.load(document.scene, slabs);  // GET …/card, and the voxels that it links to
+ *     await card.load(document.scene, slabs);  // GET …/card, and what `slabsOf` lists of it
  *     card.onlost = () => …;                   // the server draws until onrestored
  *     card.onrestored = () => …;
  *
@@ -21,6 +21,7 @@
  * canvas.
  */
 
+import { Colours, joinColours } from "./colours.js";
 import { BUDGET, Refusal, TRIAL_MS, openDevice, timeTrial } from "./device.js";
 import { Drawing, keyOf, programsOf } from "./drawing.js";
 import { turnLight } from "./light.js";
@@ -93,16 +94,27 @@ export class Card {
   /**
    * Load a scene. The scene before is drawn until the new one is ready.
    * @param {CardDocument} document `scene` of a drawable one, of GET …/card
-   * @param {ArrayBuffer[]|Promise<ArrayBuffer[]>} slabs of the volume, in the order of the
-   *   document; programs compile while slabs arrive
+   * @param {ArrayBuffer[]|Promise<ArrayBuffer[]>} slabs of the volume and its colours, in the
+   *   order of `slabsOf`; programs compile while slabs arrive
    * @throws {import("./device.js").Refusal} if the card's textures or memory are too small for the
    *   scene
    */
   async load(document, slabs) {
+    const all = Promise.resolve(slabs);
     await this.#load(
       document,
-      Promise.resolve(slabs).then((all) => joinSlabs(document, all)),
+      all.then((some) => joinSlabs(document, some)),
+      all.then((some) => joinColours(document, some)),
     );
+  }
+
+  /**
+   * Return true if the card was found to draw no pictures in a shading, so that the server must.
+   * @param {string} shading
+   * @returns {boolean}
+   */
+  refuses(shading) {
+    return this.drawing?.refused.has(shading) ?? false;
   }
 
   /**
@@ -228,19 +240,22 @@ export class Card {
    * Load a scene, if no other load begins while it is prepared.
    * @param {CardDocument} document
    * @param {Promise<import("./cells.js").Voxels>} codes of the volume
+   * @param {Promise<Uint8Array>} places colours by data, empty if there are none
    * @param {import("./texels.js").Run[]} [runs] texels that were received before the card was lost
    */
-  async #load(document, codes, runs) {
+  async #load(document, codes, places, runs) {
     const { gl } = this.device;
     const load = ++this.loads;
-    const [programs, voxels] = await Promise.all([
+    const [programs, voxels, painted] = await Promise.all([
       programsOf(gl, document, this.readShader),
       codes,
+      places,
     ]);
     if (load !== this.loads) return; // another load began meanwhile
     const volume = new Volume(this.device, document, voxels);
     const texels = new Texels(this.device, document, BUDGET, runs);
-    const drawing = new Drawing(this.device, document, volume, texels, programs);
+    const colours = new Colours(this.device, document, painted);
+    const drawing = new Drawing(this.device, document, { volume, colours, texels, programs });
     // WebGL reports a lack of memory only by an error code after the allocations.
     if (gl.getError() === gl.OUT_OF_MEMORY) {
       drawing.release();
@@ -281,6 +296,7 @@ export class Card {
       await this.#load(
         drawing.document,
         Promise.resolve(drawing.volume.source),
+        Promise.resolve(drawing.colours.source),
         drawing.texels.runs,
       );
     this.lost = false;

@@ -22,6 +22,25 @@ export function codeOf({ values, volume }, isovalue) {
   return Math.fround((voxel - volume.base) / volume.gain);
 }
 
+/** Shadings that a card draws without light of texels. */
+const LOCAL = ["lambert", "lambert_shadow", "lambert_fog", "phong", "phong_shadow"];
+
+/** Return true if a card draws this shading without light of texels. @param {string} shading */
+export const isLocal = (shading) => LOCAL.includes(shading);
+
+/** Return true if a card draws this shading. @param {string} shading */
+export const isDrawn = (shading) => shading === "gi" || isLocal(shading);
+
+/**
+ * Return the addresses of all slabs of a scene, in the order in which a card takes them: those of
+ * the volume, then those of its colours.
+ * @param {CardDocument} document
+ * @returns {string[]}
+ */
+export function slabsOf({ volume, colours }) {
+  return [...volume.slabs, ...(colours?.slabs ?? [])].map(({ href }) => href);
+}
+
 /** Albedo of the brightest face of a window: PAPER in isogi_core/frame/framing.py. */
 const PAPER = 0.8;
 

@@ -7,7 +7,7 @@ import { codeOf, facesOf } from "./document.js";
 import { turnLight } from "./light.js";
 import { Picture, discOf, jitterOf } from "./picture.js";
 import { compile, joined, run } from "./programs.js";
-import { raysOf, windowOf } from "./rays.js";
+import { depthsOf, raysOf, shoulderLight, windowOf } from "./rays.js";
 import { isRaw } from "./texels.js";
 import { drawInto, fillTexture, makeTexture } from "./textures.js";
 
@@ -28,8 +28,8 @@ import { drawInto, fillTexture, makeTexture } from "./textures.js";
  * @property {readonly import("./rays.js").Plane[]} [window] planes that hide matter from the eye,
  *   in the world; 12 at most
  * @property {boolean} [marked] true if pixels whose texels have no light are hatched
- * @property {boolean} [lambert] true if a local Lambert model is drawn in place of the light of
- *   texels
+ * @property {string} [shading] a local model that is drawn in place of the light of texels, which
+ *   is `gi`
  */
 
 /**
@@ -37,6 +37,9 @@ import { drawInto, fillTexture, makeTexture } from "./textures.js";
  * passes must be even: the last pass writes the textures that the first one read.
  */
 const FILTER_DISTANCES = [1, 2];
+
+/** Numbers of the kinds of colours by data, as `COLOURS` in colours.glsl has them. */
+const COLOURS = { values: 1, labels: 2 };
 
 /**
  * Name a rotation of the light; rotations that differ by less than rounding have one name.
@@ -46,16 +49,16 @@ const FILTER_DISTANCES = [1, 2];
 export const keyOf = (light) => light.map((x) => x.toFixed(9)).join(" ");
 
 /**
- * Compile the programs that draw a scene, and return them once the driver is done. The program of
- * the local model is compiled by `makeLocal`, as few visitors ask for it.
+ * Compile the programs that draw a scene, and return them once the driver is done. Programs of
+ * local models are compiled by `makeLocal`, as few visitors ask for them.
  * @param {WebGL2RenderingContext} gl
  * @param {CardDocument} document
  * @param {(name: string) => Promise<string>} read returns the text of a shader's file
- * @returns {Promise<{lit: Program, fold: Program, filter: Program, show: Program, makeLocal: () =>
- *   Promise<Program>}>}
+ * @returns {Promise<{lit: Program, fold: Program, filter: Program, show: Program, makeLocal:
+ *   (shading: string) => Promise<Program>}>}
  * @throws {Error} if the card refuses a shader
  */
-export async function programsOf(gl, { grid, volume, plan, light }, read) {
+export async function programsOf(gl, { grid, volume, colours, plan, light }, read) {
   // Constants of a scene are compiled into its programs, so that shaders skip what the scene lacks.
   const sampler = volume.type === "float32" ? "highp sampler3D" : "highp usampler3D";
   const common = {
@@ -63,6 +66,7 @@ export async function programsOf(gl, { grid, volume, plan, light }, read) {
     SMOOTH: Number(grid.smooth),
     RATIOS: Number(plan.ratios),
     LOBES: light.lobes.length,
+    COLOURS: colours ? COLOURS[colours.kind] : 0,
   };
   const numbers = {
     NUMBERS: plan.channels * plan.columns,
@@ -86,7 +90,15 @@ export async function programsOf(gl, { grid, volume, plan, light }, read) {
     fold: folding,
     filter: filtering,
     show: showing,
-    makeLocal: () => compile(gl, view, { ...common, SHADING: 0, LOBES: 0 }),
+    makeLocal: (shading) =>
+      compile(gl, view, {
+        ...common,
+        SHADING: 0,
+        LOBES: 0,
+        SHADOW: Number(shading.endsWith("_shadow")),
+        FOG: Number(shading.endsWith("_fog")),
+        HIGHLIGHT: Number(shading.startsWith("phong")),
+      }),
   };
 }
 
@@ -95,14 +107,17 @@ export class Drawing {
   /**
    * @param {import("./device.js").Device} device
    * @param {CardDocument} document
-   * @param {import("./volume.js").Volume} volume
-   * @param {import("./texels.js").Texels} texels
-   * @param {Awaited<ReturnType<typeof programsOf>>} programs
+   * @param {object} parts
+   * @param {import("./volume.js").Volume} parts.volume
+   * @param {import("./colours.js").Colours} parts.colours
+   * @param {import("./texels.js").Texels} parts.texels
+   * @param {Awaited<ReturnType<typeof programsOf>>} parts.programs
    */
-  constructor({ gl }, document, volume, texels, programs) {
+  constructor({ gl }, document, { volume, colours, texels, programs }) {
     this.gl = gl;
     this.document = document;
     this.volume = volume;
+    this.colours = colours;
     this.texels = texels;
     this.programs = programs;
     this.turned = makeTexture(gl, "RGBA32F", [document.plan.channels * document.plan.columns, 1]);
@@ -111,9 +126,13 @@ export class Drawing {
     /** @type {{key: string, light: import("./light.js").TurnedLight}|null} */
     this.light = null;
     this.folded = "";
-    /** @type {Program|null} */
-    this.local = null;
-    this.compiling = false;
+    /**
+     * Programs of local models by their shading; null while one is compiled.
+     * @type {Map<string, Program|null>}
+     */
+    this.local = new Map();
+    /** Shadings whose programs the card does not compile. @type {Set<string>} */
+    this.refused = new Set();
   }
 
   /**
@@ -121,20 +140,17 @@ export class Drawing {
    * @param {View} view
    * @returns {boolean}
    */
-  isReady({ lambert }) {
-    if (!lambert || this.local) return true;
-    if (!this.compiling)
-      this.programs.makeLocal().then(
-        (program) => {
-          this.local = program;
-        },
-        (error) => {
-          // The server draws this shading meanwhile; the next view tries again.
-          console.warn("The graphics card compiles no local shading:", error);
-          this.compiling = false;
-        },
-      );
-    this.compiling = true;
+  isReady({ shading = "gi" }) {
+    if (shading === "gi" || this.local.get(shading)) return true;
+    if (this.local.has(shading)) return false;
+    this.local.set(shading, null);
+    this.programs.makeLocal(shading).then(
+      (program) => this.local.set(shading, program),
+      (error) => {
+        console.warn(`The graphics card compiles no shading ${shading}:`, error);
+        this.refused.add(shading);
+      },
+    );
     return false;
   }
 
@@ -145,11 +161,12 @@ export class Drawing {
 
   /** Free the card's memory. */
   release() {
-    const { gl, volume, texels, programs } = this;
+    const { gl, volume, colours, texels, programs } = this;
     this.picture?.release();
-    for (const { id } of [this.turned, ...volume.textures, ...texels.textures])
-      gl.deleteTexture(id);
-    for (const program of [programs.lit, programs.fold, programs.filter, programs.show, this.local])
+    const textures = [...volume.textures, ...colours.textures, ...texels.textures];
+    for (const { id } of [this.turned, ...textures]) gl.deleteTexture(id);
+    const { lit, fold, filter, show } = programs;
+    for (const program of [lit, fold, filter, show, ...this.local.values()])
       if (program) gl.deleteProgram(program.id);
   }
 
@@ -164,13 +181,17 @@ export class Drawing {
   sample(view, size, n, band = [0, size[1]]) {
     const { document } = this;
     const light = this.#turn(view.light);
-    const records = this.#fold(light, keyOf(view.light));
+    const local = this.local.get(view.shading ?? "gi");
+    // Local models read no texels: their light stays as it is.
+    const records = local ? this.texels.records : this.#fold(light, keyOf(view.light));
     const picture = this.#pictureOf(size);
     picture.begin(n, size, band);
-    run(this.gl, (view.lambert && this.local) || this.programs.lit, {
+    run(this.gl, local ?? this.programs.lit, {
       ...this.volume.at(codeOf(document, view.isovalue)),
+      ...this.colours.uniforms,
       ...raysOf(document.grid, view.camera, size[0], size[1]),
       ...lightOf(document, light),
+      ...(local && modelOf(document, light, view.camera)),
       ...latticeOf(document),
       albedo: view.albedo ?? [1, 1, 1],
       ...sightOf(document, view.window ?? []),
@@ -325,11 +346,23 @@ export class Drawing {
 }
 
 /**
- * Return the uniforms of the light, and those of the local model.
+ * Return the uniforms of a local model.
+ * @param {CardDocument} document
+ * @param {import("./light.js").TurnedLight} light
+ * @param {import("./rays.js").Camera} camera
+ */
+function modelOf({ grid, model }, light, camera) {
+  const key = model.follows === "camera" ? shoulderLight(grid, camera) : light.key;
+  const { sun, ambient, gloss, exponent } = model;
+  return { key, sun, ambient, gloss, exponent, ...depthsOf(grid, camera) };
+}
+
+/**
+ * Return the uniforms of the light.
  * @param {CardDocument} document
  * @param {import("./light.js").TurnedLight} light
  */
-function lightOf({ light, lambert, plan, grid }, { quadric, towards, edges }) {
+function lightOf({ light, plan, grid }, { quadric, towards, edges }) {
   const least = plan.ratios ? light.least : [0, 0, 0];
   const [east, north] = [0, 1].map((i) => edges.flatMap((edge) => edge[i]));
   return {
@@ -341,7 +374,6 @@ function lightOf({ light, lambert, plan, grid }, { quadric, towards, edges }) {
     north,
     shine: light.lobes.flatMap((lobe) => lobe.shine),
     offset: grid.offset,
-    ...lambert,
   };
 }
 

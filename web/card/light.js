@@ -17,6 +17,7 @@ import { bandRotations, turned } from "./harmonics.js";
  *   `quadricOf`
  * @property {Vec3[]} towards direction to the middle of each lobe, in the volume's box
  * @property {[Vec3, Vec3][]} edges two radii of the disc of each lobe
+ * @property {Vec3} key direction to the key light of local models, unless it follows the camera
  */
 
 /**
@@ -74,7 +75,7 @@ export function quadricOf(harmonics) {
  * @param {Quaternion} rotation unit quaternion
  * @returns {TurnedLight}
  */
-export function turnLight({ grid, light }, rotation) {
+export function turnLight({ grid, light, model }, rotation) {
   // The harmonics of the document are in the volume's box, and so must the rotation be.
   const matrix = inBox(grid.rotation, rotationMatrix(rotation));
   const order = Math.max(...light.terms.map((term) => term.order), Math.sqrt(light.sky[0].length));
@@ -89,7 +90,9 @@ export function turnLight({ grid, light }, rotation) {
   const edges = light.lobes.map(
     (lobe) => /** @type {[Vec3, Vec3]} */ ([turn(lobe.edges[0]), turn(lobe.edges[1])]),
   );
-  return { columns: terms, quadric, towards: light.lobes.map((lobe) => turn(lobe.towards)), edges };
+  const towards = light.lobes.map((lobe) => turn(lobe.towards));
+  const key = model.follows === "light" ? turn(model.key) : model.key;
+  return { columns: terms, quadric, towards, edges, key };
 }
 
 /**

@@ -145,6 +145,37 @@ export function raysOf(grid, camera, width, height) {
 }
 
 /**
+ * Return the direction to a light above and to the left of the viewer, in the volume's box. Source
+ * in the core: `shoulder_light` of isogi_core/frame/lighting.py.
+ * @param {CardDocument["grid"]} grid
+ * @param {Camera} camera
+ * @returns {Vec3} unit vector
+ */
+export function shoulderLight(grid, camera) {
+  const { right, up, forward } = cameraInBox(grid, camera);
+  return unit(along(along(along([0, 0, 0], -1, forward), 0.5, up), -0.4, right));
+}
+
+/**
+ * Return the uniforms of local models that depend on the camera: the eye, and the fog, which
+ * thickens from the nearest to the farthest point of the volume's sphere. Source in the core:
+ * `fog_depths` of isogi_core/frame/shading.py.
+ * @param {CardDocument["grid"]} grid
+ * @param {Camera} camera
+ * @returns {{eye: Vec3, centre: Vec3, fog: [number, number]}} eye and middle of the volume in index
+ *   space; distance from the beginning of the fog to the middle, and to its end, in world units
+ */
+export function depthsOf(grid, camera) {
+  const { eye } = cameraInBox(grid, camera);
+  const half = /** @type {Vec3} */ (grid.size.map((n, i) => ((n - 1) * grid.spacing[i]) / 2));
+  const radius = Math.hypot(...half);
+  const before = Math.min(radius, Math.hypot(...along(eye, -1, half)));
+  const index = (/** @type {Vec3} */ v) =>
+    /** @type {Vec3} */ (v.map((x, i) => x / grid.spacing[i]));
+  return { eye: index(eye), centre: index(half), fog: [before, before + radius] };
+}
+
+/**
  * Return the planes of a window in index space: the visible part has n · p + w ≥ 0.
  * @param {CardDocument["grid"]} grid
  * @param {readonly Plane[]} planes in the world

@@ -2,18 +2,19 @@
  * Textures of a card: allocated once at a fixed size, as WebGL 2 has it, and filled part by part.
  */
 
-/** @typedef {"R8UI"|"R16UI"|"R32F"|"R32UI"|"RG32UI"|"RGBA32UI"|"RGBA16F"|"RGBA32F"} Format */
+/** @typedef {"R8UI"|"RGB8UI"|"R16UI"|"R32F"|"R32UI"|"RG32UI"|"RGBA32UI"|"RGBA16F"|"RGBA32F"} Format */
 /**
  * @typedef {{id: WebGLTexture, target: number, format: Format, size: readonly number[]}} Texture
  */
 
 /**
  * Format and type of the data that fills each internal format.
- * @type {Record<Format, ["RED_INTEGER"|"RED"|"RG_INTEGER"|"RGBA_INTEGER"|"RGBA",
+ * @type {Record<Format, ["RED_INTEGER"|"RED"|"RG_INTEGER"|"RGB_INTEGER"|"RGBA_INTEGER"|"RGBA",
  *   "UNSIGNED_BYTE"|"UNSIGNED_SHORT"|"FLOAT"|"UNSIGNED_INT"|"HALF_FLOAT"]>}
  */
 const DATA = {
   R8UI: ["RED_INTEGER", "UNSIGNED_BYTE"],
+  RGB8UI: ["RGB_INTEGER", "UNSIGNED_BYTE"],
   R16UI: ["RED_INTEGER", "UNSIGNED_SHORT"],
   R32F: ["RED", "FLOAT"],
   R32UI: ["RED_INTEGER", "UNSIGNED_INT"],
@@ -26,6 +27,7 @@ const DATA = {
 /** Bytes of a texel of each format. @type {Record<Format, number>} */
 const BYTES = {
   R8UI: 1,
+  RGB8UI: 3,
   R16UI: 2,
   R32F: 4,
   R32UI: 4,

@@ -15,7 +15,7 @@ const MAP_ROW = 2048; // marked bricks in a row of `cells`: ROW in volume.glsl
 /**
  * Join the slabs of a volume along z.
  * @param {CardDocument} document
- * @param {ArrayBuffer[]} slabs bytes of each slab, in the order of the document
+ * @param {ArrayBuffer[]} slabs bytes of each slab, in the order of the document; more may follow
  * @returns {Voxels} x fastest, then y
  */
 export function joinSlabs({ grid: { size }, volume }, slabs) {

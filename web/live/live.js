@@ -4,6 +4,7 @@
  */
 
 import { Refusal } from "../card/device.js";
+import { isDrawn, isLocal, slabsOf } from "../card/document.js";
 import { Trouble } from "../net/trouble.js";
 import { MOST_DIFFER, pixelsOf, shareThatDiffers } from "./check.js";
 import { Feed } from "./feed.js";
@@ -90,7 +91,9 @@ export class Live {
    * @type {{values: Knobs, since: number, begun: boolean}|null}
    */
   #check = null;
-  #isChecked = false;
+  /** Shadings whose pictures were found right: each has a program. @type {Set<string>} */
+  #checked = new Set();
+  #unlit = false; // true while the scene was shown by local models alone: no light was asked for
   #busy = Infinity; // time since which the card refuses new pictures
   #slow = 0; // slow pictures in a row
 
@@ -120,6 +123,8 @@ export class Live {
   draws(values) {
     if (this.#refused || this.#card?.lost || !this.#loaded) return false;
     if (values.overlay === "error") return false; // only the server knows the errors
+    if (!isDrawn(values.shading) || this.#card?.refuses(values.shading)) return false;
+    if (this.#unlit && !isLocal(values.shading)) return false; // its light was not asked for yet
     return (
       this.#has(values) ||
       (this.#loaded.look === this.#lookOf(values) &&
@@ -138,19 +143,14 @@ export class Live {
 
   /**
    * Predict the relative error of the card's pictures: from the target of the light and the error
-   * that the plan expects besides, once final light of all chunks of the view is here.
+   * that the plan expects besides, once final light of all chunks of the view is here. Local models
+   * have none.
    * @returns {number|null} null if it cannot be predicted
    */
   get predicted() {
-    if (
-      !this.#card ||
-      !this.#loaded ||
-      !this.#values ||
-      !this.#has(this.#values) ||
-      !this.#chunks.length
-    )
-      return null;
-    if (!this.#chunks.every(({ final }) => final)) return null;
+    if (!this.#card || !this.#loaded || !this.#values || !this.#has(this.#values)) return null;
+    if (isLocal(this.#values.shading)) return 0;
+    if (!this.#chunks.length || !this.#chunks.every(({ final }) => final)) return null;
     const here = this.#card.drawing?.texels.chunks;
     const { target, expected } = this.#loaded.facts;
     return this.#chunks.every(({ at, version }) => here?.get(at)?.version === version)
@@ -191,6 +191,8 @@ export class Live {
    * @param {CardChunk[]} [chunks] chunks that the picture reads, if the server named them
    */
   rest(values, facts, chunks) {
+    // From now on the light of texels is asked for, as the server's picture stands below.
+    if (!isLocal(values.shading)) this.#unlit = false;
     const card = this.draws(values) && this.#has(values);
     this.#values = values;
     const isLit = facts?.provisional === false || facts?.coverage.provisional === 0;
@@ -199,7 +201,8 @@ export class Live {
     else if (card) this.#list(true);
     else this.#prepare(values);
     // A card that has not been checked yet is checked with this view.
-    if (!card || this.shows || this.#isChecked || values.overlay !== "none") return;
+    if (!card || this.shows || this.#checked.has(values.shading) || values.overlay !== "none")
+      return;
     if (this.#check?.values !== values)
       this.#check = { values, since: performance.now(), begun: false };
     this.#animate();
@@ -211,8 +214,8 @@ export class Live {
    */
   async #prepare(values) {
     const key = this.#keyOf(values);
-    if (values.shading !== "gi" || this.#refused || this.#preparing === key || this.#card?.lost)
-      return;
+    const isOurs = isDrawn(values.shading) && !this.#refused && !this.#card?.lost;
+    if (!isOurs || this.#preparing === key) return;
     this.#preparing = key;
     try {
       // Open the card at the first scene, and ask the server if a card can draw this one.
@@ -223,9 +226,7 @@ export class Live {
       if (!facts) return this.#decline(reason);
 
       // Read the volume before the former scene is dropped, which is drawn until then.
-      const slabs = await Promise.all(
-        facts.volume.slabs.map(({ href }) => this.#source.bytes(href)),
-      );
+      const slabs = await Promise.all(slabsOf(facts).map((href) => this.#source.bytes(href)));
       // Another view may have changed the scene while slabs arrived.
       if (this.#preparing !== key) return;
       this.#loaded?.feed.close();
@@ -234,7 +235,8 @@ export class Live {
       await card.load(facts, slabs);
       // The card holds the other scene by now if one was prepared meanwhile.
       if (this.#preparing !== key) return;
-      this.#isChecked = false;
+      this.#checked.clear();
+      this.#unlit = isLocal(values.shading);
 
       // Light is requested with the parameters of this view; transfer belongs to no rotation.
       const ask = (
@@ -318,7 +320,16 @@ export class Live {
   /** Draw one frame of the screen: the newest view, or a refinement of the view at rest. */
   #draw() {
     this.#frame = 0;
-    if (!this.#values || !this.#card || !this.#loaded || !this.draws(this.#values)) return;
+    if (!this.#values || !this.#card || !this.#loaded) return;
+    if (!this.draws(this.#values)) {
+      // The card has refused the shading since it was asked for this view.
+      if (this.#waiting && !this.#card.lost) {
+        this.#waiting = false;
+        this.#hide();
+        this.#hooks.lost();
+      }
+      return;
+    }
     // Without a new view, either check the card unseen or refine its picture.
     if (!this.#waiting) {
       if (!this.shows) this.#prove(this.#card);
@@ -360,7 +371,7 @@ export class Live {
     const share = server && shareThatDiffers(card.read(), server, this.#canvas, this.predicted);
     if (share === null) return; // try again with another picture of the server
     this.#check = null;
-    this.#isChecked = true;
+    this.#checked.add(check.values.shading);
     if (share <= MOST_DIFFER) return;
     const reason = `The graphics card draws ${Math.round(100 * share)} % of the pixels differently from the server: the server draws.`;
     this.#leave(reason);
@@ -397,7 +408,8 @@ export class Live {
   async #list(now = false) {
     const values = this.#values;
     const time = performance.now();
-    if (!values || (!now && time - this.#listed < LIST_MS)) return;
+    if (!values || isLocal(values.shading)) return;
+    if (!now && time - this.#listed < LIST_MS) return;
     this.#listed = time;
     try {
       this.#bring(
@@ -427,7 +439,7 @@ export class Live {
 
   /** Request the light of some chunks. @param {CardChunk[]} chunks */
   #bring(chunks) {
-    if (!this.#loaded || !this.#values) return;
+    if (!this.#loaded || !this.#values || isLocal(this.#values.shading)) return;
     this.#chunks = chunks;
     this.#loaded.feed.bring(chunks, this.#values, this.#moving).catch((error) => {
       // After trouble with the server, the next list requests the light again.

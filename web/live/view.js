@@ -23,7 +23,6 @@ const VARIANT = ["environment", "cut", "time", "smooth", "surfaces", "hide", "ma
 /** Parameters that a scene's document depends on. */
 const OF_DOCUMENT = [
   ...VARIANT,
-  "shading",
   "shine",
   ...NUMBERS.filter((name) => UNITS[name] === "share"),
 ];
@@ -47,13 +46,15 @@ function only(query, names) {
 }
 
 /**
- * Return the parameters of the request for a scene's document: all that it depends on.
+ * Return the parameters of the request for a scene's document: all that it depends on. It serves all
+ * shadings that a card draws.
  * @param {Scene} scene
  * @param {Knobs} values
  * @returns {FrameQuery}
  */
 export function documentQuery(scene, values) {
-  return only(frameQuery(scene, values, { width: 1, height: 1 }), OF_DOCUMENT);
+  const query = frameQuery(scene, values, { width: 1, height: 1 });
+  return { ...only(query, OF_DOCUMENT), shading: "gi" };
 }
 
 /**
@@ -154,6 +155,7 @@ export function cardView(scene, document, values, folded) {
     }),
     ground: document.grounds[ground(values)],
     window: planesOf(cutQuery(values).window ?? ""),
+    shading: values.shading,
     marked: values.overlay === "provisional",
   };
 }

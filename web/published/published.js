@@ -5,6 +5,7 @@
 
 import { Card } from "../card/card.js";
 import { Refusal } from "../card/device.js";
+import { slabsOf } from "../card/document.js";
 import { find, sizeOf } from "../dom.js";
 import { cardView } from "../live/view.js";
 import { attachSlider } from "../panels/knobs.js";
@@ -42,7 +43,7 @@ async function open() {
   foldControls();
   // Read the volume first, as the card cannot draw without it, then the light of the first view.
   // Light is requested before the last slab is here, so that the network is never idle.
-  const slabs = readAhead(facts.volume.slabs.map(({ href }) => href));
+  const slabs = readAhead(slabsOf(facts));
   const files = readAhead(light.files, Promise.all(slabs.slice(0, Math.max(slabs.length - 1, 1))));
   const fits = fitsOf(scene);
   const square = fitFor(fits, 1).distance;

@@ -59,7 +59,8 @@ def draw_coded(renderer: Renderer, view: View, coding: Coding, target: float) ->
         reading = read_texels(texels, held.slots, loader.pool, Goal(target, FIRST_LEVEL), tiles)
         numbers = raw_numbers(reading, loader.pool)
     about = normals_of(renderer, texels, tiles)
-    # Encode and decode them, and go on as a card does: light, filter, interpolation, lobes.
+    # Encode and decode them, and go on as a card does: light, filter, interpolation, lobes,
+    # colours.
     lit = fold(coding.numbers(coding.codes(numbers)), light)
     if reading.grainy.any():
         reading, lit = filter_texel_light(texels, reading, lit, about, light, tiles)
@@ -71,6 +72,8 @@ def draw_coded(renderer: Renderer, view: View, coding: Coding, target: float) ->
         picture = carry_texel_light(texels, reading, lit, points, light, tiles)
     if light.spec.lobes:
         add_lobes(gbuffer.pixels, renderer.lobes(light, gbuffer).lit, light.spec.unit, picture)
+    if light.coloured:
+        picture.radiance[gbuffer.pixels] *= light.tints(gbuffer, tiles)
     return picture
 
 

@@ -7,12 +7,14 @@ from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 
 BYTES = 64 << 20
-"""Bytes of voxels that are sent at most: small cards have room for them, and networks transfer
-them in some seconds.
+"""Bytes of voxels and colours that are sent at most: small cards have room for them, and networks
+transfer them in some seconds.
 """
 
-SHADINGS = ("gi", "lambert")
+SHADINGS = ("gi", "lambert", "lambert_shadow", "lambert_fog", "phong", "phong_shadow")
 """Shadings that a card draws."""
+
+SHOWN = f"{', '.join(SHADINGS[:-1])} and {SHADINGS[-1]}"
 
 
 class Obstacle(NamedTuple):
@@ -22,18 +24,17 @@ class Obstacle(NamedTuple):
     why: str
 
 
-OTHER_SHADING = Obstacle(
-    "shading", "This shading is drawn by the server: a card draws gi and lambert."
-)
+OTHER_SHADING = Obstacle("shading", f"This shading is drawn by the server: a card draws {SHOWN}.")
 
 VOLUME_TOO_LARGE = Obstacle(
-    "volume too large", f"The volume takes more than {BYTES >> 20} MB: the server draws it."
+    "volume too large",
+    f"The volume, with its colours, takes more than {BYTES >> 20} MB: the server draws it.",
 )
 
 
 def find_obstacles(scene: Scene, view: View, nbytes: int) -> list[Obstacle]:
-    """Return all reasons why a card cannot draw a ``view`` of a ``scene`` whose voxels take
-    ``nbytes`` bytes; none if it can.
+    """Return all reasons why a card cannot draw a ``view`` of a ``scene`` whose voxels and colours
+    take ``nbytes`` bytes; none if it can.
 
     Raises ViewError if views of the scene may not ask for the view's shine.
     """

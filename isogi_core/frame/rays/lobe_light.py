@@ -2,10 +2,10 @@
 
 Lobes have an extent, so shadows have soft edges. Rays to the middles of lobes find the shadows.
 Points cast them in SAMPLING_TURNS turns, from a coarse grid of pixels to the finest: a point
-between neighbours that agree needs no ray. Rays to the rims of lobes then find points in
-half-shadow, starting at the edges of shadows. Only these points cast many rays, and share them with
-their neighbours. While a view moves, rays to middles alone are cast, and edges of shadows are
-blurred.
+between neighbours that agree needs no ray, unless shadows change nearby. Rays to the rims of lobes
+then find points in half-shadow, starting at the edges of shadows. Only these points cast many rays,
+and share them with their neighbours. While a view moves, rays to middles alone are cast, and edges
+of shadows are blurred.
 """
 
 from dataclasses import dataclass
@@ -19,6 +19,9 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.lattice import MIN_LIGHT
 from isogi_core.kernels.shading.lobes import (
     LOBE_HALF_SEEN,
+    LOBE_HIDDEN,
+    LOBE_SEEN,
+    NO_LOBE,
     PENUMBRA_RAYS,
     STRATIFIED_VARIANCE,
     add_halves,
@@ -42,6 +45,16 @@ from isogi_core.kernels.shading.shadow_points import (
 from isogi_core.kernels.tracing.cast import TracedSurface
 from isogi_core.kernels.transport.lights import LampArrays
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
+
+DAPPLE_REACH = 3
+"""Distance along x and y, in pixels, within which no other answer may be for a point to adopt that
+of its neighbours.
+
+Through leaves and noise light falls in spots as small as a pixel, near others. Of the bonsai at 40
+under the sun of noon_grass, at 200², the relative RMSE of the sun's light is 0.063 without this
+rule, 0.041, 0.033 and 0.033 for 2, 3 and 4 pixels, and 0.031 if no point adopts an answer; it costs
+5, 7, 8 and 14 % of all shadow rays.
+"""
 
 LOBE_POINTS = 4096
 RIM_PAIRS = 1024
@@ -139,6 +152,7 @@ def find_lobes(
     if moving:
         halves = np.empty(0, np.int64)
     else:
+        shadows.find_dapples(seen)
         halves = shadows.edges(seen)
     # Add up the lobes that are seen whole, and then the shares of those in half-shadow, which the
     # first of the two leaves out.
@@ -185,6 +199,40 @@ class Shadows:
 
             self.tiles.run(_piece, last - first, tile_of(last - first, LOBE_POINTS, self.tiles))
         return seen
+
+    def find_dapples(self, seen: np.ndarray) -> None:
+        """Cast rays to the middles of lobes from points that adopted an answer, if another one was
+        found within DAPPLE_REACH of them, and put the results into ``seen``.
+
+        Spots of light that are found so make points around them cast rays, too.
+        """
+        picture = self.picture
+        alone = picture._replace(around=np.full_like(picture.around, -1))
+        y, x = np.divmod(picture.points.pixels.astype(np.int64), picture.rows.shape[1])
+        for k in range(len(seen)):
+            lamp = LampArrays(*(part[k : k + 1] for part in self.lamps))
+            adopted = adopted_answers(picture, seen[k])
+            while adopted.any():
+                states = np.full(picture.rows.shape, NO_LOBE, np.uint8)
+                states[y, x] = seen[k]
+                lit = within(states == LOBE_SEEN, DAPPLE_REACH)[y, x]
+                dark = within(states == LOBE_HIDDEN, DAPPLE_REACH)[y, x]
+                doubted = np.flatnonzero(adopted & lit & dark).astype(np.int32)
+                if not len(doubted):
+                    break
+                adopted[doubted] = False
+                self._see_alone(alone._replace(order=doubted), lamp, seen[k : k + 1])
+
+    def _see_alone(self, picture: ShadowPoints, lamp: LampArrays, seen: np.ndarray) -> None:
+        """Cast a ray to the middle of one ``lamp`` from each point in the order of a ``picture``,
+        and put the results into ``seen`` (1, m).
+        """
+
+        def _piece(a: int, b: int) -> None:
+            see_middles(self.traced, picture, lamp, (a, b), seen)
+
+        total = len(picture.order)
+        self.tiles.run(_piece, total, tile_of(total, LOBE_POINTS, self.tiles))
 
     def edges(self, seen: np.ndarray) -> np.ndarray:
         """Find the pairs of a point and a lobe in half-shadow, by rays to rims; put them into
@@ -295,6 +343,27 @@ class Shadows:
         # The fewer rays a pair has, the more pairs are in a tile: each takes about as long.
         self.tiles.run(_piece, len(pairs), HALF_SEEN_PAIRS * PENUMBRA_RAYS[0] // rays)
         return shares
+
+
+def adopted_answers(picture: ShadowPoints, seen: np.ndarray) -> np.ndarray:
+    """Return the points that adopted the answer of their neighbours, by the states ``seen`` (m,) of
+    a lobe's middle; (m,) bool. See ``agreed`` of the kernel.
+    """
+    around = seen[picture.around]
+    same = (around == around[:, :1]).all(axis=1) & (picture.around[:, 0] >= 0)
+    return same & np.isin(around[:, 0], (LOBE_HIDDEN, LOBE_SEEN)) & (seen == around[:, 0])
+
+
+def within(marks: np.ndarray, reach: int) -> np.ndarray:
+    """Return the places (h, w) that have a mark within ``reach`` along both axes, bool."""
+    for axis in range(2):
+        before = np.moveaxis(marks, axis, 0)
+        after = before.copy()
+        for step in range(1, min(reach, len(before) - 1) + 1):
+            after[step:] |= before[:-step]
+            after[:-step] |= before[step:]
+        marks = np.moveaxis(after, 0, axis)
+    return marks
 
 
 def tile_of(total: int, most: int, tiles: Tiles) -> int:

@@ -7,6 +7,7 @@ steps (``frame.rays.lobe_light`` calls them in this order):
 
 1. ``see_middles``: one ray to the middle of the lobe from every fourth pixel of every fourth row.
    Other pixels adopt the answer of the pixels around them if these agree, and cast a ray if not.
+   In pictures at rest, they also cast one if a pixel nearby gave another answer.
 2. ``mark_edges`` and ``see_rims``: if the answer changes from one pixel to the next, rays to the
    rim of the lobe tell points that see all of it, or nothing, from points in the half-shadow, which
    see a part.
@@ -330,8 +331,10 @@ def see_rims(surface, picture, lamps, pairs, sees):
     ways = np.empty((3, most))
     for j in range(pairs.shape[0]):
         k, m = divmod(pairs[j], points.pixels.shape[0])
-        # Rotate the four rays by a random angle that belongs to pixel and lobe.
-        first = 0.5 * math.pi * point_2d(mix(np.int64(points.pixels[m]), LOBES_STREAM), 0, k)[0]
+        # Rotate the four rays by a random angle that belongs to pixel and lobe. Dimensions behind
+        # those of the lobes keep it independent of the rays of ``see_discs``.
+        seed = mix(np.int64(points.pixels[m]), LOBES_STREAM)
+        first = 0.5 * math.pi * point_2d(seed, 0, lamps.kinds.shape[0] + k)[0]
         for i in range(RIM_RAYS):
             w = rim_way(lamps, k, first + 2.0 * math.pi * i / RIM_RAYS)
             if dot(point_of(points.normals, m), w) > 0.0:

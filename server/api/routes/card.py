@@ -14,6 +14,7 @@ from typing import Any
 from fastapi import APIRouter, Request, Response
 
 from isogi_core.frame.card.blocks import known_light, known_transfer
+from isogi_core.frame.card.colour_codes import ColourCodes
 from isogi_core.frame.card.looks import Look, SeenChunk, look_at
 from isogi_core.frame.known_blocks import Packed, Part
 from isogi_core.frame.renderer import Renderer
@@ -25,7 +26,7 @@ from server.api.headers import FOR_EVER, matches, tag_of, takes_gzip
 from server.api.service import PictureRequest, SceneDep, Service, ServiceDep
 from server.bearers import client_of
 from server.card_schemas import CardChunks, CardSchema
-from server.errors import ForbiddenError, ParameterError
+from server.errors import ForbiddenError, ParameterError, UnknownPartError
 from server.parameters import (
     ChunkName,
     FoldParams,
@@ -111,8 +112,7 @@ async def read_card(
 ) -> Response:
     """Say if a page may draw a view itself, and return all that it needs besides voxels and texels.
 
-    Nothing in the document depends on the camera, and only ``lambert`` on the rotation of the
-    light.
+    Nothing in the document depends on the camera or on the rotation of the light.
     """
     lit = await service.variant(scene, params, client_of(request.scope))
     picture = service.picture_of(lit, params)
@@ -155,6 +155,32 @@ async def read_voxels(
         first, last = layers_of(layers, codes.shape[0], max(b - a for a, b in codes.slabs))
         body = codes.code(shown.volume.voxels[first:last]).tobytes()
         return binary_answer(request, [Part(body)], params.version == voxel_version(shown))
+
+    return await service.compute(request, work)
+
+
+@router.get(
+    "/colours/{layers}",
+    response_class=Response,
+    openapi_extra=documented(VoxelParams),
+    responses=PARTS,
+)
+async def read_colours(
+    request: Request, scene: SceneDep, layers: str, params: VoxelParamsDep, service: ServiceDep
+) -> Response:
+    """Return the codes of colours by data in some layers along z, x fastest. The document of the
+    card says what codes stand for.
+    """
+    shown = await open_scene(request, service, scene, params)
+
+    def work() -> Response:
+        found = ColourCodes.of(shown)
+        if found is None:
+            raise UnknownPartError("This scene has no colours by data.")
+        depth = len(found.colours.places)
+        first, last = layers_of(layers, depth, max(b - a for a, b in found.slabs))
+        body = found.layers(first, last).tobytes()
+        return binary_answer(request, [Part(body)], params.version == found.version)
 
     return await service.compute(request, work)
 

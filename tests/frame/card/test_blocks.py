@@ -420,6 +420,23 @@ def test_pictures_of_fine_codes_are_isogis(bench_of: BenchOf, name: str) -> None
     np.testing.assert_allclose(shown, expected, atol=2e-3 * expected.mean())
 
 
+@pytest.mark.usefixtures("unfiltered")
+def test_coded_pictures_have_colours_by_data(workbench: Make) -> None:
+    """As isogi's picture has them: the page multiplies the light of a white surface."""
+    table = {"use": "colour", "of": "gradient", "map": "coolwarm"}
+    kept: dict[str, Any] = {"bounces": 2, "target_error": LOOSE, "projected": False}
+    bench = workbench(load_scene("demo:orbital", lights=[CONSTANT], volumes=[table], **kept))
+    view = bench.view(size=40)
+    bench.bake(view)
+    framebuffer = draw_coded(bench.renderer, view, coding_of(bench, 1e-4), LOOSE)
+    gbuffer = bench.renderer.gbuffer(view)
+    tints = bench.renderer._light(view).tints(gbuffer, bench.renderer.tiles)
+    expected = tints * drawn(bench, view)[2]
+    shown = framebuffer.radiance[gbuffer.pixels]
+    assert np.ptp(tints, axis=0).max() > 0.3
+    np.testing.assert_allclose(shown, expected, atol=2e-3 * expected.mean())
+
+
 def test_measured_errors_grow_by_what_rounding_adds(colours: Workbench) -> None:
     views = [colours.view(azimuth=azimuth, size=48) for azimuth in (40.0, 43.0)]
     pictures = ControlPictures(colours.renderer, views, 0.2)

@@ -27,7 +27,7 @@ def view_of(scene: Scene, **settings: Any) -> View:
         ({"surfaces": [{"isovalue": 0.1, "clear": 0.5}]}, ["several surfaces"]),
         ({"shine": {"kind": "plastic"}}, ["shine"]),
         ({"glow": [{"sphere": [40, 40, 40, 5]}]}, ["glow"]),
-        ({"volumes": [{"use": "colour", "of": "gradient"}]}, ["colours"]),
+        ({"volumes": [{"use": "colour", "of": "gradient"}]}, []),
         ({"room": "cornell", "shine": {"kind": "metal"}}, ["rooms", "shine"]),
     ],
 )
@@ -42,7 +42,8 @@ def test_a_scene_is_named_by_what_a_card_lacks(settings: dict[str, Any], names: 
     ("settings", "names"),
     [
         ({"shading": "lambert"}, []),
-        ({"shading": "phong"}, ["shading"]),
+        ({"shading": "phong_shadow"}, []),
+        ({"shading": "vicinity"}, ["shading"]),
         ({"shading": "path_traced"}, ["shading"]),
         ({"window": read_window("x>40")}, []),
     ],

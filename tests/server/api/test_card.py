@@ -16,6 +16,7 @@ import pytest
 from websockets.asyncio.client import connect
 
 from isogi_core.frame import renderer
+from isogi_core.frame.card.colour_codes import ColourCodes
 from isogi_core.frame.gbuffer import GBuffer, trace
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene
@@ -181,8 +182,9 @@ def test_the_light_of_the_document_does_not_turn(client: httpx.Client) -> None:
     one = document(client)
     other = document(client, yaw=90, azimuth=10, isovalue=0.6)
     assert one["scene"]["light"] == other["scene"]["light"]
-    assert one["scene"]["lambert"] != other["scene"]["lambert"]
-    assert one["version"] != other["version"]
+    assert one["scene"]["model"] == other["scene"]["model"]
+    assert one["version"] == document(client, yaw=90, azimuth=10)["version"]
+    assert one["version"] != document(client, environment="studio")["version"]
     assert document(client, environment="studio")["scene"]["light"] != one["scene"]["light"]
 
 
@@ -313,6 +315,7 @@ def test_chunks_of_a_large_view_are_looked_at_by_few_rays(
         ("volume/0-17", 404, "There are no layers '0-17'"),
         ("volume/4-4", 404, "There are no layers"),
         ("volume/all", 404, "There are no layers 'all'"),
+        ("colours/0-1", 404, "no colours by data"),
         ("volume/0-4?azimuth=3", 422, "no parameter 'azimuth'"),
         ("transfer/0.0.0?yaw=3", 422, "no parameter 'yaw'"),
         ("light/0.0.0?yaw=3&light=1,0,0,0", 422, "given twice"),
@@ -375,11 +378,34 @@ async def test_a_stream_sends_no_pictures_that_nobody_wants(client: httpx.Client
 
 def test_the_addresses_are_documented(client: httpx.Client) -> None:
     paths = client.get("/openapi.json").json()["paths"]
-    for name in ("", "/chunks", "/volume/{layers}", "/light/{chunks}", "/transfer/{chunks}"):
+    parts = ("/volume/{layers}", "/colours/{layers}", "/light/{chunks}", "/transfer/{chunks}")
+    for name in ("", "/chunks", *parts):
         operation = paths[f"/v1/scenes/{{scene}}/card{name}"]["get"]
         assert operation["summary"] and {"200", "403", "404", "422", "429", "503"} <= set(
             operation["responses"]
         )
+
+
+def test_colours_come_from_the_addresses_in_the_document(scene_file: Path, tmp_path: Path) -> None:
+    """As the scene has them, and for ever at their version."""
+    table = '\n[[volumes]]\nuse = "colour"\nof = "gradient"\n'
+    path = scene_file.with_name("painted.toml")
+    path.write_text(scene_file.read_text() + table)
+    scene = load_scene(path)
+    assert scene.surfaces.colours is not None
+    app = create_app(EngineWithoutWorkers([scene], str(tmp_path)), Settings())
+    with live(app) as url, httpx.Client(base_url=url, timeout=300) as found:
+        answer = found.get(f"/v1/scenes/{scene.id}/card").json()
+        assert answer["drawable"], answer["reason"]
+        facts = answer["scene"]["colours"]
+        parts = [found.get(f"/v1/scenes/{scene.id}/{each['href']}") for each in facts["slabs"]]
+        assert all(each.headers["cache-control"] == FOR_EVER for each in parts)
+        data = np.frombuffer(b"".join(each.content for each in parts), np.uint8)
+        expected = ColourCodes.of(scene)
+        assert expected is not None and len(data) == facts["bytes"] == expected.nbytes
+        assert data.tobytes() == expected.layers(0, len(expected.colours.places)).tobytes()
+        np.testing.assert_allclose(facts["table"], expected.colours.table)
+        assert facts["brightest"] == pytest.approx(expected.colours.brightest)
 
 
 TOKEN = {"token": "correct horse battery"}
@@ -406,6 +432,7 @@ def test_a_server_may_keep_its_voxels(
             (True, []) if handed else (False, ["voxels kept"])
         )
         assert (facts["scene"] is not None) == handed
+        assert found.get(f"{CARD}/colours/0-1").status_code == (404 if handed else 403)
         for path in ("volume/0-1", "light/0.0.0", "transfer/0.0.0"):
             answer = found.get(f"{CARD}/{path}")
             assert answer.status_code == (200 if handed else 403)

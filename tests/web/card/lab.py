@@ -18,6 +18,7 @@ from playwright.sync_api import Browser, Page
 
 from isogi_core.bake.noise import Goal
 from isogi_core.frame.card.blocks import CHUNKS, fold_chunks, transfer_chunks
+from isogi_core.frame.card.colour_codes import ColourCodes
 from isogi_core.frame.card.looks import seen_chunks
 from isogi_core.frame.known_blocks import LEVEL
 from isogi_core.frame.lighting import RotatedLight
@@ -150,7 +151,7 @@ def view_of(view: View, exposure: float = 1.0, **more: Any) -> dict[str, Any]:
     }
     planes = view.window.planes if view.window else ()
     shown["window"] = [{"normal": [-x, -y, -z], "limit": w} for x, y, z, w in planes]
-    return {**shown, "exposure": exposure, "lambert": view.shading == "lambert", **more}
+    return {**shown, "exposure": exposure, "shading": view.shading, **more}
 
 
 @dataclass(frozen=True)
@@ -178,6 +179,8 @@ class CardScene:
         slabs = [
             codes.code(renderer.prepared.scene.volume.voxels[a:b]).tobytes() for a, b in codes.slabs
         ]
+        if colours := ColourCodes.of(renderer.prepared.scene):
+            slabs += [colours.layers(a, b).tobytes() for a, b in colours.slabs]
         scene = card_scene(renderer, view, ()).model_dump(mode="json")
         if not lobes:
             scene["light"]["lobes"] = []

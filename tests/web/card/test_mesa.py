@@ -26,7 +26,15 @@ RENDERER = 0x1F01
 HEAD = "#version 300 es\nprecision highp float;\nprecision highp int;\n"
 SCREEN = f"{HEAD}void main() {{ gl_Position = vec4(float(gl_VertexID)); }}"
 
-VIEW = {"VOXELS": "highp usampler3D", "SMOOTH": 1, "RATIOS": 1, "LOBES": 3, "SHADING": 1}
+VIEW = {
+    "VOXELS": "highp usampler3D",
+    "SMOOTH": 1,
+    "RATIOS": 1,
+    "LOBES": 3,
+    "SHADING": 1,
+    "COLOURS": 0,
+}
+LOCAL = {**VIEW, "LOBES": 0, "SHADING": 0, "SHADOW": 0, "FOG": 0, "HIGHLIGHT": 0}
 FOLD = {"RATIOS": 1, "NUMBERS": 41, "COLUMNS": 41, "TERMS": 3, "STRAIGHT": 25, "WHOLE": 0}
 SHADERS: dict[str, tuple[str, dict[str, Any]]] = {
     "light": ("view.frag.glsl", VIEW),
@@ -35,7 +43,14 @@ SHADERS: dict[str, tuple[str, dict[str, Any]]] = {
         "view.frag.glsl",
         {**VIEW, "VOXELS": "highp sampler3D", "SMOOTH": 0},
     ),
-    "local model": ("view.frag.glsl", {**VIEW, "LOBES": 0, "SHADING": 0}),
+    "colours of values": ("view.frag.glsl", {**VIEW, "COLOURS": 1}),
+    "colours of labels": ("view.frag.glsl", {**VIEW, "COLOURS": 2}),
+    "local model": ("view.frag.glsl", LOCAL),
+    "local model with a shadow and a highlight": (
+        "view.frag.glsl",
+        {**LOCAL, "SHADOW": 1, "HIGHLIGHT": 1},
+    ),
+    "local model in fog": ("view.frag.glsl", {**LOCAL, "FOG": 1}),
     "fold": ("fold.frag.glsl", FOLD),
     "fold of irradiance": (
         "fold.frag.glsl",

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from isogi_core.frame.card.obstacles import SHADINGS
 from isogi_core.model.view import View, orthographic, read_window
 from isogi_core.model.volume import make_volume
 from tests.frame.conftest import CONSTANT, LOOSE, SKY, Workbench, scene_of
@@ -54,13 +55,46 @@ def lit_bench(make_bench: Make, demo: str = "orbital", **settings: Any) -> Workb
     return bench
 
 
+LAMP = {"type": "directional", "azimuth": -30, "elevation": 40, "irradiance": 2.0}
+LOCAL = [shading for shading in SHADINGS if shading != "gi"]
+
+
 @pytest.mark.parametrize("demo", ["orbital", "casting"])
-def test_the_local_model_is_isogis(lab: Lab, make_bench: Make, demo: str) -> None:
+@pytest.mark.parametrize("shading", LOCAL)
+def test_local_models_are_isogis(lab: Lab, make_bench: Make, demo: str, shading: str) -> None:
     bench = make_bench(load_scene(f"demo:{demo}", lights=[SKY], target_error=LOOSE))
-    view = view_at(bench, shading="lambert")
+    view = view_at(bench, shading=shading)
     frame = bench.renderer.render(view)
     card = CardScene(lab, bench.renderer, view, SIZE)
     assert_same(difference(card.picture(view), frame.radiance, frame.state > 0))
+
+
+KEYS = {"light": [SKY], "camera": [CONSTANT], "nothing": [LAMP, CONSTANT]}
+
+
+@pytest.mark.parametrize("follows", KEYS)
+def test_the_key_light_follows_what_isogis_does(lab: Lab, make_bench: Make, follows: str) -> None:
+    """One document serves all turns of light and camera."""
+    bench = make_bench(load_scene("demo:orbital", lights=KEYS[follows], target_error=LOOSE))
+    view = view_at(bench, shading="phong_shadow")
+    card = CardScene(lab, bench.renderer, view, SIZE)
+    assert lab.ask("return card.drawing.document.model.follows;") == follows
+    others = [view_at(bench, shading="phong_shadow", azimuth=130.0)]
+    others += [replace(view, light=TURN)] if follows == "light" else []
+    for other in others:
+        frame = bench.renderer.render(other)
+        assert_same(difference(card.picture(other), frame.radiance, frame.state > 0))
+
+
+def test_fog_of_parallel_rays_is_isogis(lab: Lab, make_bench: Make) -> None:
+    """Their eye is ten million radii away."""
+    bench = make_bench(load_scene("demo:orbital", lights=[SKY], target_error=LOOSE))
+    view = view_at(bench, shading="lambert_fog")
+    flat = replace(view, camera=orthographic(view.camera, bench.scene.volume.radius))
+    frame = bench.renderer.render(flat)
+    card = CardScene(lab, bench.renderer, view, SIZE)
+    found = card.picture(view, camera=orthographic_camera(view.camera))
+    assert_same(difference(found, frame.radiance, frame.state > 0))
 
 
 KINDS = {

@@ -106,9 +106,13 @@ test("light is turned in the box that the volume lies in", () => {
   const harmonics = (order, c) => Array.from({ length: order ** 2 }, (_, i) => i + c);
   const term = (order) => ({ order, light: [0, 1, 2].map((c) => harmonics(order, c)), square: harmonics(order, 7) });
   const light = { terms: [term(3), term(2)], sky: term(3).light, lobes: [lobe], least: [0, 0, 0], unit: 1 };
-  const found = turnLight({ grid: { ...GRID, rotation }, light }, TURN);
+  const model = { key: lobe.towards, follows: "light" };
+  const found = turnLight({ grid: { ...GRID, rotation }, light, model }, TURN);
   const world = turnVector(TURN, lobe.towards), inBox = [0, 1, 2].map((i) => rotation.reduce((sum, row, j) => sum + row[i] * world[j], 0));
   close(found.towards[0], inBox);
+  close(found.key, inBox);
+  const lamp = { ...model, follows: "nothing" };
+  close(turnLight({ grid: { ...GRID, rotation }, light, model: lamp }, TURN).key, lobe.towards);
   assert.equal(found.columns.length, 13);
   const direction = [0.36, 0.48, 0.8], there = [0, 1, 2].map((i) => rotation.reduce((sum, row, j) => sum + row[i] * turnVector(TURN, direction)[j], 0));
   const first = (k) => at(found.columns.slice(0, 9).map((column) => column[k]), there);

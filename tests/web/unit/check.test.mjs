@@ -84,6 +84,7 @@ class FakeCard {
   pixels = flipped(disc());
   drawing = { texels: { chunks: new Map([["0.0.1", { version: "1a" }]]) } };
   isQuick = async () => true;
+  refuses = () => false;
   async load() {}
   lacking = () => ({ light: [], transfer: [] });
   draw(view, size) {

@@ -29,6 +29,8 @@ class FakeCard {
   quick = true;
   async isQuick() { return this.quick; }
   async load(document, slabs) { this.loaded.push([document, slabs]); }
+  refused = "";
+  refuses(shading) { return shading === this.refused; }
   lacking() { return { light: [], transfer: [] }; }
   take() {}
   draw(view, size) {
@@ -278,6 +280,34 @@ test("another albedo is drawn at once, and its light brought at rest", async () 
   assert.deepEqual(card.drawn.at(-1).albedo, [1, 1, 1]);
 });
 
+test("local models are drawn without light", async () => {
+  const phong = knobs({ shading: "phong_shadow" });
+  live = makeLive();
+  live.rest(phong, LIT);
+  await settled();
+  await see(phong);
+  assert.equal(card.drawn.at(-1).shading, "phong_shadow");
+  assert.deepEqual([kinds(), live.predicted], [["document", "bytes", "bytes"], 0]);
+  assert.deepEqual([live.draws(A), live.draws(knobs({ shading: "vicinity" }))], [false, false]);
+  live.rest(A, LIT);
+  await settled();
+  assert.deepEqual([live.draws(A), kinds().at(-1), card.loaded.length], [true, "chunks", 1]);
+  await see(A);
+  assert.equal(card.drawn.at(-1).shading, "gi");
+});
+
+test("a shading that a card refuses is drawn by the server", async () => {
+  await ready();
+  const fog = knobs({ shading: "lambert_fog" });
+  card.busy = true;
+  await see(fog);
+  assert.deepEqual([live.draws(fog), said], [true, []]);
+  card.refused = "lambert_fog";
+  await clock.pass(16);
+  assert.deepEqual([live.draws(fog), canvas.hidden, said], [false, true, ["lost"]]);
+  assert.equal(live.draws(A), true);
+});
+
 test("a black surface tells nothing of another albedo", async () => {
   const black = knobs({ albedo: 0, tint: "#ffffff" });
   live = makeLive({ scene: PAINTED });
@@ -302,7 +332,7 @@ test("another light is drawn by the server, until the card has it", async () => 
 test("views that a card cannot draw stay with the server", async () => {
   await ready({ document: { drawable: false, reason: "Walls are lit by the server.", scene: null } });
   assert.deepEqual([live.draws(A), said], [false, []]);
-  live.rest(knobs({ shading: "phong" }), LIT, []);
+  live.rest(knobs({ shading: "vicinity" }), LIT, []);
   await settled();
   assert.deepEqual(kinds(), ["document"], "nor is the server asked for other shadings");
 });

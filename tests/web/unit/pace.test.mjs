@@ -55,6 +55,7 @@ async function pageOf(ms, hz, rows = () => 1) {
   card.load = async () => {
     card.drawing = {
       texels: { chunks: new Map() },
+      refused: new Set(),
       isReady: () => true,
       sample(view, [width, height], n, [from, to] = [0, height]) {
         let share = 0;

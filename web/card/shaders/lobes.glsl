@@ -1,5 +1,6 @@
 // Direct light of lobes: small distant lights, each sampled by shadow rays. Kernel:
 // isogi_core/kernels/shading/lobes.py.
+#include "launch.glsl"
 uniform vec3 towards[LOBES + 1]; // Unit vectors to the middles, in the box.
 uniform vec3 east[LOBES + 1]; // Radii of a lobe's disc, as long as the sine of its half angle.
 uniform vec3 north[LOBES + 1];
@@ -7,19 +8,9 @@ uniform vec3 shine[LOBES + 1]; // Light at a cosine of 1.
 // Point of all discs that this sample's rays go to, in radii; (0, 0) is the middle.
 uniform vec2 place;
 uniform bool resting; // True if this picture is one sample of many, spread over the discs.
-uniform float offset; // Voxels along the normal from the surface to the origin of rays.
 
 const float PI = 3.14159265358979;
 const float SHARP = 0.00436331; // Sine of a quarter of a degree: smaller lobes are points.
-
-// Origin of a ray that leaves the surface at p: offset along the normal, or p itself if the offset
-// point is solid, in a crease or in noise. Kernel: launch of
-// isogi_core/kernels/transport/integrator.py.
-vec3 launch(vec3 p, vec3 n) {
-  vec3 rise = n / spacing, start = p + offset * rise / length(rise);
-  bool within = all(greaterThanEqual(start, vec3(0.0))) && all(lessThanEqual(start, vec3(size - 1)));
-  return within && value(start) > isovalue ? p : start;
-}
 
 // E of a lobe whose half angle has the sine s, relative to that from straight above, if only the
 // horizon hides it: the mean cosine over a flat disc of radius s, with 0 below the horizon.

@@ -8,6 +8,7 @@ uniform vec2 greys; // Factor and offset that turn a code into a grey.
 uniform float paper; // Light of the brightest grey.
 
 const float FAR = 1e30;
+const float PAPER = 0.8; // PAPER of isogi_core/frame/framing.py.
 
 // The part (near, far) of the ray o + t d, t >= 0, that the window leaves visible; empty if near >
 // far.

@@ -1,18 +1,21 @@
 // The light at a place of the picture: a ray from the camera, the surface that it hits, and the
-// light that leaves the surface. Kernels: isogi_core/kernels/tracing/camera.py,
-// isogi_core/kernels/shading/local_models.py; rays: web/card/rays.js.
+// light that leaves the surface. Kernel: isogi_core/kernels/tracing/camera.py; rays:
+// web/card/rays.js.
 #include "intersect.glsl"
 #include "field.glsl"
 #include "sight.glsl"
+#include "colours.glsl"
+#include "launch.glsl"
 #if SHADING == 1
 #include "irradiance_ratio.glsl"
 #include "lobes.glsl"
+#else
+#include "local_models.glsl"
+uniform vec3 albedo; // Albedo that is shown, relative to that of the document.
 #endif
 // Origins of rays, on a plane in front of the box: affine over the picture.
 uniform vec3 start, startRight, startDown;
 uniform vec3 corner, right, down; // Directions of rays, affine as well.
-// Lambert model: direction to the light, its light, and ambient light, both times the albedo.
-uniform vec3 key, sun, ambient;
 uniform float unit; // Radiance of 1 in the light of texels.
 
 struct Seen { vec3 light, point, normal; float cover, lacking; };
@@ -28,10 +31,10 @@ vec3 shade(vec3 p, vec3 n, out float lacking) {
 #if SHADING == 1
   vec3 light = texel_light(p, n, lacking);
   if (LOBES > 0) light += lobe_light(p, n);
-  return unit * albedo * light;
+  return unit * albedo * tint(p) * light;
 #else
   lacking = 0.0;
-  return ambient + max(dot(n, key), 0.0) * sun;
+  return albedo * tint(p) * local_light(p, n);
 #endif
 }
 
@@ -49,7 +52,7 @@ Seen see(vec2 at) {
   if (t < 0.0 || part.x + t > part.y) return seen;
   seen.point = o + t * d;
   if (!opened) seen.normal = find_normal(seen.point, d);
-  seen.light = opened ? paint(seen.point) : shade(seen.point, seen.normal, seen.lacking);
+  seen.light = opened ? face_tint(seen.point) * paint(seen.point) : shade(seen.point, seen.normal, seen.lacking);
   seen.cover = 1.0;
   return seen;
 }
