@@ -109,13 +109,14 @@ def export(
         with Progress(f"lighting {path.name}", "point") as bar:
             write_lit(renderer, path, view, places, exposure, bar.show, request.coefficients)
     baked = {"final": summary.final, "error": summary.error, "target_error": summary.target_error}
-    baked["trouble"] = summary.failures[0].reason if summary.failures else ""
+    trouble = summary.failures[0].reason if summary.failures else ""
     about = {
         "file": str(request.output),
         "files": [str(path) for path in views],
         "scene": scene.name,
     }
-    return {**about, **size_facts(places, levels), **baked, "bytes": sum(map(size_of, views))}
+    facts = {**about, **size_facts(places, levels), **baked, "trouble": trouble}
+    return {**facts, "bytes": sum(map(size_of, views))}
 
 
 def files_of(output: Path, knobs: Mapping[str, str]) -> dict[Path, dict[str, str]]:

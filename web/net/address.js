@@ -6,7 +6,7 @@
 import { WHITE, startAlbedo } from "../view/albedo.js";
 import { exactValue } from "../view/format.js";
 import { readCrossHair, readMeasure, writeCrossHair, writeMeasure } from "../view/measures.js";
-import { NUMBERS, inShort } from "../view/model.js";
+import { NUMBERS, inShort, readDifference } from "../view/model.js";
 import { arePlanes } from "../view/planes.js";
 import { areHidden, areSurfaces, idleKnobs, isMaterial } from "../view/surfaces.js";
 import { cutQuery, isUpload } from "./request.js";
@@ -178,14 +178,11 @@ export function isovalueComplaint({ ranges, volume }, isovalue) {
 
 /**
  * Return a sentence if a parameter that is not a number does not fit the scene, otherwise "".
- * @type {(scene: Pick<Scene, "shadings"> & Partial<Pick<Scene,
+ * @type {(scene: Pick<Scene, "id"|"shadings"|"ranges"|"volume"> & Partial<Pick<Scene,
  *   "environments"|"surfaces"|"colours"|"materials">>, name: string, value: string) => string}
  */
-function choiceComplaint(
-  { shadings, environments = [], surfaces = [], colours, materials = [] },
-  name,
-  value,
-) {
+function choiceComplaint(scene, name, value) {
+  const { shadings, environments = [], surfaces = [], colours, materials = [] } = scene;
   // Check each kind of parameter; the first problem is reported.
   const lit = name !== "environment" || !value || environments.some(({ id }) => id === value);
   if (!lit) return `There is no light “${value}” here.`;
@@ -201,10 +198,12 @@ function choiceComplaint(
     return `“${value}” does not fit the labels.`;
   if (name === "material" && value && !isMaterial(value, materials))
     return materialComplaint(materials, value);
+  if (name === "compare" && value && !readDifference(scene, value))
+    return `There is no “${value}” to compare with.`;
   if (name === "draw" && !DRAWS.includes(value))
     return `“${value}” draws nothing here: choose card or server.`;
-  const shading = ["shading", "compare"].includes(name);
-  if (shading && value && !shadings.includes(value)) return `There is no shading “${value}”.`;
+  if (name === "shading" && value && !shadings.includes(value))
+    return `There is no shading “${value}”.`;
   return KNOWN.has(name) ? "" : `The link says ${name}, which this page does not know.`;
 }
 
