@@ -5,7 +5,13 @@
 
 import { WHITE, startAlbedo } from "../view/albedo.js";
 import { exactValue } from "../view/format.js";
-import { readCrossHair, readMeasure, writeCrossHair, writeMeasure } from "../view/measures.js";
+import {
+  readCrossHair,
+  readMeasure,
+  readNotes,
+  writeCrossHair,
+  writeMeasure,
+} from "../view/measures.js";
 import { NUMBERS, inShort, readDifference } from "../view/model.js";
 import { arePlanes } from "../view/planes.js";
 import { areHidden, areSurfaces, idleKnobs, isMaterial } from "../view/surfaces.js";
@@ -80,7 +86,7 @@ export function readAddress(search) {
     .getAll("measure")
     .map(readMeasure)
     .filter((points) => points !== null);
-  if (measures.length) start.measures = measures;
+  if (measures.length) Object.assign(start, { measures, notes: readNotes(query.getAll("measure")) });
   const slices = readCrossHair(query.get("slices") ?? "");
   if (slices) start.slices = slices;
   return {
@@ -131,7 +137,8 @@ export function writeAddress(scene, values) {
     query.set("projection", values.projection);
   if (values.rulers !== "on") query.set("rulers", values.rulers);
   if (values.compare) query.set("compare", values.compare);
-  for (const points of values.measures) query.append("measure", writeMeasure(points));
+  for (const name of values.measures.map(writeMeasure))
+    query.append("measure", name in values.notes ? `${name}~${values.notes[name]}` : name);
   if (values.slices) query.set("slices", writeCrossHair(values.slices));
   return `?${query}`;
 }

@@ -6,7 +6,7 @@
 import { isTint, startAlbedo } from "./albedo.js";
 import { PROJECTIONS, limitTarget } from "./camera.js";
 import { niceStep, showNumber } from "./format.js";
-import { limitCrossHair, limitMeasures } from "./measures.js";
+import { limitCrossHair, limitMeasures, limitNotes } from "./measures.js";
 import { arePlanes } from "./planes.js";
 import { RULERS } from "./rulers.js";
 import { areHidden, areSurfaces, isMaterial } from "./surfaces.js";
@@ -41,6 +41,7 @@ import { areHidden, areSurfaces, isMaterial } from "./surfaces.js";
  * @property {string} background one of BACKGROUNDS
  * @property {string} rulers one of RULERS: "on" if a scale bar and the axes are shown
  * @property {import("./measures.js").Measure[]} measures distances and angles in the world
+ * @property {import("./measures.js").Notes} notes texts beside measures
  * @property {import("./measures.js").CrossHair|null} slices point in which the slices next to the
  *   picture cross; null for no slices
  * @property {string} environment the id of one of the scene's environments; "" for the scene's
@@ -199,6 +200,7 @@ export class ViewModel {
       environment: "",
       rulers: "on",
       measures: [],
+      notes: {},
       slices: null,
       planes: "",
       opened: this.#scene.cuts,
@@ -230,8 +232,8 @@ export class ViewModel {
 
   /** Go back to the start of the scene; measures and slices are kept. */
   reset() {
-    const { measures, slices } = this.#values;
-    this.set({ ...this.defaults, measures, slices });
+    const { measures, notes, slices } = this.#values;
+    this.set({ ...this.defaults, measures, notes, slices });
   }
 
   /**
@@ -281,6 +283,7 @@ export class ViewModel {
     const made = wanted.material === "" || isMaterial(wanted.material, this.#scene.materials ?? []);
     limited.material = made ? /** @type {string} */ (wanted.material) : fallback.material;
     limited.measures = limitMeasures(wanted.measures ?? fallback.measures);
+    limited.notes = limitNotes(wanted.notes ?? fallback.notes, limited.measures);
     limited.slices = limitCrossHair(
       this.#scene.volume,
       wanted.slices === undefined ? fallback.slices : wanted.slices,
