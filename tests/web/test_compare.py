@@ -99,8 +99,9 @@ def test_another_scene_turns_along(page: Page, site: Site) -> None:
     open_shown(page, str(site.client.base_url) + f"/?shading={SHADING}&compare=scene:{other}")
     both_final(page)
     before = pixels(page, "#other")
+    x, y = middle(page.locator("#stage"))
     with page.expect_request(lambda asked: f"/{other}/frame" in asked.url) as asked:
-        drag(page, middle(page.locator("#stage")), 60, 40)
+        drag(page, (x - 100, y), -60, 0)
     both_final(page)
     left = query_of(page.url)
     assert float(query_of(asked.value.url)["azimuth"]) == float(left["azimuth"])
