@@ -156,7 +156,8 @@ def noise_of(shown: np.ndarray, part: np.ndarray) -> float:
     """The RMS of what a mean over 5 × 5 pixels takes away, where it is flat and all of these belong
     to the ``part``; 0 if there is no such place.
     """
-    whole = mean_around(part.astype(float)) > 0.999
+    # Pixels at the edge of the picture have no mean around them.
+    whole = mean_around(np.pad(part[1:-1, 1:-1], 1).astype(float)) > 0.999
     mean = mean_around(shown)
     slope = np.hypot(*np.gradient(mean))
     flat = whole & (slope < FLAT)
