@@ -128,6 +128,8 @@ async function start() {
  */
 function assemble(scene, knobs, scenes, trouble) {
   const view = new ViewModel(scene, knobs);
+  const others = scenes.filter(({ id }) => id !== scene.id);
+  const unknown = refuseUnknown(view, others);
   const picture = new Picture(
     $("stage"),
     $("picture", HTMLImageElement),
@@ -160,8 +162,6 @@ function assemble(scene, knobs, scenes, trouble) {
   // Tie controls, panels, gestures and keys to the view.
   const form = $("controls");
   attachKnobs(form, scene, view, shown);
-  const others = scenes.filter(({ id }) => id !== scene.id);
-  const unknown = refuseUnknown(view, others);
   attachComparison(form, scene, view, others);
   new Player($("play", HTMLButtonElement), scene, view, shown);
   attachHistogram(form, scene, view, say);

@@ -1,6 +1,7 @@
 """Parts of the picture: two shadings side by side, and what cuts take away."""
 
 import re
+from urllib.parse import parse_qsl, urlsplit
 
 import numpy as np
 import pytest
@@ -103,8 +104,8 @@ def test_another_scene_turns_along(page: Page, site: Site) -> None:
     with page.expect_request(lambda asked: f"/{other}/frame" in asked.url) as asked:
         drag(page, (x - 100, y), -60, 0)
     both_final(page)
-    left = query_of(page.url)
-    assert float(query_of(asked.value.url)["azimuth"]) == float(left["azimuth"])
+    right = dict(parse_qsl(urlsplit(asked.value.url).query))
+    assert float(right["azimuth"]) == float(query_of(page)["azimuth"])
     assert np.abs(pixels(page, "#other") - before).mean() > 0.3
     page.goto(f"{site.client.base_url}/?compare=scene:nothing")
     expect(page.locator("#notice")).to_contain_text("no scene “nothing” to compare with")

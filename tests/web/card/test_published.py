@@ -40,7 +40,7 @@ sun_azimuth = 30
 sun_elevation = 50
 """
 SIZE = {"width": 280, "height": 400}
-READY_MS = 400_000
+READY_MS = 120_000
 
 
 class Site:
