@@ -31,7 +31,13 @@ import { attachShare } from "./net/share.js";
 import { Shown } from "./net/shown.js";
 import { Trouble } from "./net/trouble.js";
 import { attachUpload } from "./net/upload.js";
-import { Comparison } from "./panels/comparison.js";
+import {
+  Comparison,
+  RightSide,
+  attachComparison,
+  namesOf,
+  refuseUnknown,
+} from "./panels/comparison.js";
 import { attachCuts, attachLabels, attachMaterial, attachSurfaces } from "./panels/cuts.js";
 import { attachEnvironments } from "./panels/environment.js";
 import { ErrorPanel } from "./panels/error.js";
@@ -100,7 +106,7 @@ async function start() {
       // Another light or material changes parts of the scene's document.
       if (environment || material)
         Object.assign(scene, await readLight(scene.id, { environment, material }));
-      return assemble(scene, knobs, trouble);
+      return assemble(scene, knobs, scenes, trouble);
     } catch (error) {
       const failure = /** @type {import("./net/trouble.js").Trouble} */ (error);
       if (!failure.retry || !(await compiling.look())) {
@@ -117,10 +123,13 @@ async function start() {
  * Make the parts of the page, and tie them to one view.
  * @param {Scene} scene
  * @param {Partial<Knobs>} knobs knobs that the address names
+ * @param {SceneLink[]} scenes all scenes of the server
  * @param {TroublePanel} trouble
  */
-function assemble(scene, knobs, trouble) {
+function assemble(scene, knobs, scenes, trouble) {
   const view = new ViewModel(scene, knobs);
+  const others = scenes.filter(({ id }) => id !== scene.id);
+  const unknown = refuseUnknown(view, others);
   const picture = new Picture(
     $("stage"),
     $("picture", HTMLImageElement),
@@ -129,7 +138,13 @@ function assemble(scene, knobs, trouble) {
   const { say } = new Notice($("notice"));
   const { card, reading } = attachReading(scene, view, picture, say);
   const shown = new Shown(view.values, (values) => keyOf(scene, values, picture));
-  const { loop, live, ready } = startLoop(scene, view, picture, { trouble, card, shown, say });
+  const { loop, live, ready } = startLoop(scene, view, picture, {
+    trouble,
+    card,
+    shown,
+    say,
+    scenes,
+  });
   const keys = {
     f: toggleFull,
     p: () => reading.middle(),
@@ -147,6 +162,7 @@ function assemble(scene, knobs, trouble) {
   // Tie controls, panels, gestures and keys to the view.
   const form = $("controls");
   attachKnobs(form, scene, view, shown);
+  attachComparison(form, scene, view, others);
   new Player($("play", HTMLButtonElement), scene, view, shown);
   attachHistogram(form, scene, view, say);
   attachPresets($("presets"), scene, view);
@@ -213,7 +229,7 @@ function assemble(scene, knobs, trouble) {
   addEventListener("pageshow", follow); // also when the visitor comes back to a page that was left
   $("full-screen").hidden = !document.fullscreenEnabled;
   $("full-screen").addEventListener("click", toggleFull);
-  say(complaints(location.search, scene).join(" "));
+  say([...complaints(location.search, scene), ...unknown].join(" "));
   loop.settle();
 }
 
@@ -325,10 +341,10 @@ function toggleFull() {
  * @param {Scene} scene
  * @param {ViewModel} view
  * @param {Picture} picture
- * @param {{trouble: TroublePanel, card: PointCard, shown: Shown, say: (words: string) => void}}
- *   parts
+ * @param {{trouble: TroublePanel, card: PointCard, shown: Shown, say: (words: string) => void,
+ *   scenes: SceneLink[]}} parts
  */
-function startLoop(scene, view, picture, { trouble, card, shown, say }) {
+function startLoop(scene, view, picture, { trouble, card, shown, say, scenes }) {
   const status = new Status(document, scene.target_error, (values) => emptyInWords(scene, values));
   const panel = new ErrorPanel($("error"), scene.target_error);
   const times = new Times($("times", HTMLDetailsElement));
@@ -336,14 +352,15 @@ function startLoop(scene, view, picture, { trouble, card, shown, say }) {
   const query = (values, scale = 1, moving = false) =>
     queryOf(scene, values, picture, scale, moving);
   const ask =
-    (/** @type {() => Partial<Knobs>} */ other) =>
+    (/** @type {(values: Knobs) => Promise<{scene: Scene, values: Knobs}>} */ side) =>
     async (/** @type {FrameOptions} */ options, /** @type {AbortSignal} */ signal) => {
       const of = shown.asked;
-      const values = { ...of.values, ...other() };
+      const { scene: drawn, values } = await side(of.values);
+      const asked = queryOf(drawn, values, picture, options.scale, options.draft);
       return {
         ...(await readFrame(
-          scene.id,
-          { ...query(values, options.scale, options.draft), ...formatOf(options) },
+          drawn.id,
+          { ...asked, ...formatOf(options) },
           { etag: options.etag, signal },
         )),
         of,
@@ -357,7 +374,7 @@ function startLoop(scene, view, picture, { trouble, card, shown, say }) {
       chunks: live.draws(shown.asked.values),
       of: shown.asked,
     }),
-    ask: ask(() => ({})),
+    ask: ask(async (values) => ({ scene, values })),
     drafts: () => !live.draws(shown.asked.values),
     probe: () => probeScene(scene.id),
   };
@@ -381,12 +398,17 @@ function startLoop(scene, view, picture, { trouble, card, shown, say }) {
     },
     readAddress(location.search).draw,
   );
-  const other = ask(() => ({ shading: view.values.compare }));
+  const right = new RightSide(
+    scene,
+    (id) => readScene(id, picture.size(1, false)),
+    $("compare-note"),
+  );
   const comparison = new Comparison(
     $("comparison"),
     new Picture($("stage"), $("other", HTMLImageElement)),
-    other,
+    ask((values) => right.of(values, view.values.compare)),
     view,
+    namesOf(scene, scenes),
   );
   /** @type {{blob: Blob, of: import("./net/shown.js").Asked}|null} */
   let received = null; // the newest picture of a view at rest, for the panel that saves it
@@ -442,7 +464,7 @@ function startLoop(scene, view, picture, { trouble, card, shown, say }) {
   const tell = () => {
     status.show(shown);
     panel.show(shown);
-    comparison.name(shown.values.shading);
+    comparison.name(shown.values);
   };
   shown.subscribe(tell);
   tell();

@@ -14,6 +14,7 @@ from benchmarks.accuracy.furnace import furnace
 from benchmarks.accuracy.glass import glass
 from benchmarks.accuracy.interpolation import interpolation
 from benchmarks.accuracy.lobes import lobes
+from benchmarks.accuracy.looks import looks
 from benchmarks.accuracy.plans import plans
 from benchmarks.accuracy.projected import projected
 from benchmarks.accuracy.reports import reports
@@ -40,6 +41,7 @@ main = suite(
     colours,
     surfaces,
     room,
+    looks,
     glass,
     sliding,
     sampling,

@@ -11,6 +11,7 @@ from benchmarks.service.malformed import malformed
 from benchmarks.service.memory import memory
 from benchmarks.service.page import page
 from benchmarks.service.routes import routes
+from benchmarks.service.time_left import time_left
 from benchmarks.service.visitors import visitors
 from benchmarks.service.warm_view import warm_view
 from benchmarks.service.widget import widget
@@ -27,6 +28,7 @@ main = suite(
         warm_view,
         page,
         routes,
+        time_left,
         widget,
         first_look,
         first_start,

@@ -28,25 +28,40 @@ def check_folder(output: Path) -> None:
         raise ViewError(f"There is no folder {output.parent} for {output.name}: make it first.")
 
 
-def check_writable(output: Path, size: int) -> None:
-    """Raise UnwritableError if a file of ``size`` bytes cannot be written to ``output``.
+def check_writable(output: Path, size: int | None = None) -> None:
+    """Raise UnwritableError if a file of ``size`` bytes, or of any if the size is not known, cannot
+    be written to ``output``.
 
     Call it before the work whose result goes there. A file that is there stays as it is.
     """
-    trial = output.with_name(f"{output.name}.{uuid4().hex}{PARTIAL_SUFFIX}")
+    _try_room(output.parent, output, size)
+
+
+def check_folder_writable(folder: Path, size: int | None = None) -> None:
+    """Raise UnwritableError if files of ``size`` bytes together cannot be written into a folder,
+    which may not exist yet. See ``check_writable``.
+    """
+    _try_room(folder if folder.is_dir() else folder.parent, folder, size)
+
+
+def _try_room(there: Path, output: Path, size: int | None) -> None:
+    """Write a file of ``size`` bytes into the folder ``there``, and delete it. Raises
+    UnwritableError about the ``output``.
+    """
+    trial = there / f"{output.name}.{uuid4().hex}{PARTIAL_SUFFIX}"
     try:
         try:
             with trial.open("xb") as file:
                 # Ask the file system for the room, which is faster than writing, and fails as
                 # writing would.
                 if hasattr(os, "posix_fallocate"):
-                    os.posix_fallocate(file.fileno(), 0, max(size, 1))
+                    os.posix_fallocate(file.fileno(), 0, max(size or 0, 1))
         finally:
             trial.unlink(missing_ok=True)
     except OSError as error:
+        room = "room" if size is None else f"room for {size:,} bytes"
         raise UnwritableError(
-            f"{output} cannot be written ({error.strerror}): make room for {size:,} bytes, or name "
-            "another place."
+            f"{output} cannot be written ({error.strerror}): make {room}, or name another place."
         ) from error
 
 

@@ -2,11 +2,12 @@
 loaded when it is called.
 """
 
+import errno
 import gc
 import io
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -90,16 +91,38 @@ def run(arguments: Sequence[str]) -> int:
         return complain(error.format_message(), error.exit_code)
     except BAD_INPUT as error:
         return complain(str(error), 2)
-    except (IsogiError, OSError) as error:
+    except OSError as error:
+        return complain(described(error), 1)
+    except IsogiError as error:
         return complain(str(error), 1)
     except Exception as error:
         return complain(f"unexpected {type(error).__name__}: {error}", 1)
+
+
+def described(error: OSError) -> str:
+    """Return a sentence about an ``error`` of the system, with the file that it is about."""
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        what = error.filename or "The output"
+        return f"{what} cannot be written ({error.strerror}): make room, and run the command again."
+    if error.strerror is None or error.filename is None:
+        return str(error)
+    return f"{error.filename}: {error.strerror}."
 
 
 def complain(message: str, status: int) -> int:
     """Print one line on stderr about an error; return the exit ``status``."""
     click.echo(f"isogi: {' '.join(message.split())}", err=True)
     return status
+
+
+def ended(facts: dict[str, Any], text: Callable[[dict[str, Any]], str], as_json: bool) -> int:
+    """Print the ``facts`` of a command as ``show`` does; return its exit status: 1 if its light is
+    not complete because there was ``trouble``.
+    """
+    show(facts, text, as_json)
+    if facts["trouble"]:
+        return complain(f"The light is not complete. {facts['trouble']}", 1)
+    return 0
 
 
 @click.group(
@@ -163,10 +186,7 @@ def render(
     }
     work = module_of("render")
     facts = work.render(scene, output, knobs, settings, seconds)
-    show(facts, work.rendered, as_json)
-    if facts["trouble"]:
-        return complain(f"The light is not complete. {facts['trouble']}", 1)
-    return 0
+    return ended(facts, work.rendered, as_json)
 
 
 @cli.command()
@@ -430,7 +450,7 @@ def export(
     coefficients: bool,
     as_json: bool,
     **given: Any,
-) -> None:
+) -> int:
     """Write TARGET with its light to OUTPUT.
 
     An isosurface as a mesh (.ply, .glb, .obj, .usdz), or values and light as a volume (.vti, .nrrd,
@@ -440,7 +460,7 @@ def export(
     work = module_of("export")
     knobs = {name: value for name, value in given.items() if value is not None}
     request = work.ExportRequest(output, isovalues, target_error, exposure, coefficients)
-    show(work.export(scene, request, knobs, settings), work.exported, as_json)
+    return ended(work.export(scene, request, knobs, settings), work.exported, as_json)
 
 
 @cli.command()
@@ -472,7 +492,7 @@ def export(
 )
 @options(WORK_OPTIONS)
 @AS_JSON
-def film(scene: str, as_json: bool, **given: Any) -> None:
+def film(scene: str, as_json: bool, **given: Any) -> int:
     """Film TARGET: a whole turn, options given as first:last, a path along views, or steps in time.
 
     The suffix of OUTPUT chooses GIF, WebP, MP4 or WebM; without one, it is a folder of PNGs. The
@@ -481,7 +501,8 @@ def film(scene: str, as_json: bool, **given: Any) -> None:
     settings = settings_from(**{name: given.pop(name) for name in WORK_OPTIONS})
     work = module_of("film")
     knobs = {name: value for name in FILM_OPTIONS if (value := given.pop(name)) is not None}
-    show(work.film(scene, work.FilmRequest(**given), knobs, settings), work.filmed, as_json)
+    facts = work.film(scene, work.FilmRequest(**given), knobs, settings)
+    return ended(facts, work.filmed, as_json)
 
 
 @cli.command()
@@ -511,7 +532,7 @@ def film(scene: str, as_json: bool, **given: Any) -> None:
 )
 @options(WORK_OPTIONS)
 @AS_JSON
-def publish(scene: str, interactive: bool, as_json: bool, **given: Any) -> None:
+def publish(scene: str, interactive: bool, as_json: bool, **given: Any) -> int:
     """Write a page that shows pictures of TARGET by sliders, without a server.
 
     An option given as first:last:step becomes a slider; without any, the azimuth. An interactive
@@ -521,7 +542,8 @@ def publish(scene: str, interactive: bool, as_json: bool, **given: Any) -> None:
     settings = settings_from(**{name: given.pop(name) for name in WORK_OPTIONS})
     work = module_of("publish --interactive" if interactive else "publish")
     knobs = {name: value for name in GRID_OPTIONS if (value := given.pop(name)) is not None}
-    show(work.publish(scene, work.PageRequest(**given), knobs, settings), work.published, as_json)
+    facts = work.publish(scene, work.PageRequest(**given), knobs, settings)
+    return ended(facts, work.published, as_json)
 
 
 @cli.command()

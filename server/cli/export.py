@@ -25,6 +25,7 @@ from isogi_core.plan.scene import Scene
 from isogi_core.plan.volumes.opening import open_own
 from isogi_core.prepared.isosurface_mesh import Mesh
 from isogi_core.prepared.prepared_scene import PreparedScene
+from isogi_core.storage.atomic_file import check_writable
 from server.cli.prewarm import order_of, prewarm_scene
 from server.cli.publish import values_in
 from server.errors import ParameterError
@@ -87,6 +88,8 @@ def export(
         for path, turn in files.items()
     }
     views = {path: view_of(scene, each, settings) for path, each in params.items()}
+    for path in files:
+        check_writable(path)
     order = {"isovalues": isovalues, "all_directions": True, "target_error": request.target_error}
     if request.coefficients:
         rung = MAX_SAMPLES
@@ -108,12 +111,14 @@ def export(
         with Progress(f"lighting {path.name}", "point") as bar:
             write_lit(renderer, path, view, places, exposure, bar.show, request.coefficients)
     baked = {"final": summary.final, "error": summary.error, "target_error": summary.target_error}
+    trouble = summary.failures[0].reason if summary.failures else ""
     about = {
         "file": str(request.output),
         "files": [str(path) for path in views],
         "scene": scene.name,
     }
-    return {**about, **size_facts(places, levels), **baked, "bytes": sum(map(size_of, views))}
+    facts = {**about, **size_facts(places, levels), **baked, "trouble": trouble}
+    return {**facts, "bytes": sum(map(size_of, views))}
 
 
 def files_of(output: Path, knobs: Mapping[str, str]) -> dict[Path, dict[str, str]]:

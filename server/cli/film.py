@@ -14,7 +14,7 @@ from urllib.parse import quote
 
 from isogi_core.errors import ViewError
 from isogi_core.plan.scene import Scene
-from isogi_core.storage.atomic_file import check_folder
+from isogi_core.storage.atomic_file import check_folder, check_writable
 from server.answers import defaults
 from server.cli.film_path import film_path, steps_in, view_in, views_in
 from server.cli.loops import WRITERS, write_loop
@@ -103,6 +103,8 @@ def film(
     reel = Reel(
         request.folder, scene, {FRAME_FILE_NAME % n: shot for n, shot in enumerate(shots, 1)}
     )
+    if request.is_movie:
+        check_writable(request.output)
     reel.shoot(request, settings)
     if request.is_movie:
         write_movie(request.output, [reel.path(name) for name in reel.shots], request.fps)

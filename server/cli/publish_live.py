@@ -19,7 +19,7 @@ from isogi_core.frame.rays.control_pixels import TotalError
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
-from isogi_core.storage.atomic_file import write_whole
+from isogi_core.storage.atomic_file import check_folder_writable, check_writable, write_whole
 from server.answers import card_obstacles
 from server.cli.prewarm import context_of, show
 from server.cli.publish import PageRequest, check_output
@@ -114,6 +114,10 @@ def publish(
     scene = open_scene(target, settings, target_error=max(LIGHT_TARGET_SHARE * goal, LEAST_TARGET))
     span, params = first_view_of(scene, knobs)
     view = view_of(scene, params, settings)
+    if request.one_file:
+        check_writable(request.output)
+    else:
+        check_folder_writable(request.output)
     with prewarming(scene, settings, request.begun) as context:
         refuse_obstacles(context.renderer, view)
         # Take the page with the most exact light that fits the size.
@@ -127,7 +131,7 @@ def publish(
     else:
         write_files(request.output, version.files)
     facts = {"file": str(request.output), "one_file": request.one_file, **version.facts}
-    facts["bytes"] = version.nbytes
+    facts |= {"bytes": version.nbytes, "trouble": ""}
     return {**facts, "seconds": request.passed}
 
 

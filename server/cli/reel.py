@@ -18,9 +18,16 @@ import numpy as np
 from isogi_core.errors import ViewError
 from isogi_core.frame.frame import Frame
 from isogi_core.plan.scene import Scene
-from isogi_core.storage.atomic_file import write_whole
+from isogi_core.storage.atomic_file import check_folder_writable, write_whole
 from server.cli.film_path import at_step
-from server.cli.render import awaited, is_placed, seen_whole, working
+from server.cli.render import (
+    PACKED_PIXEL_BYTES,
+    awaited,
+    is_placed,
+    seen_whole,
+    trouble_of,
+    working,
+)
 from server.parameters import FrameParams
 from server.pictures import FORMAT_OF_SUFFIX, encode
 from server.progress import Progress, left_text
@@ -93,6 +100,7 @@ class Reel:
         whole = [scene.digest, scene.default_exposure, self._placed, asked]
         self._digest = blake2b(json.dumps(whole).encode(), digest_size=12).hexdigest()
         self.facts: dict[str, dict[str, Any]] = {}
+        self.trouble = ""
         self._written = -math.inf
         if self._list.exists():
             try:
@@ -138,13 +146,13 @@ class Reel:
 
     def summary(self) -> dict[str, Any]:
         """Return the quality of all pictures: the share that is final, the target, the median
-        and the largest error.
+        and the largest error, and the reason why no more light came, if there is one.
         """
         errors = [facts["error"] for facts in self.facts.values()]
         target = next(iter(self.shots.values())).max_error or self._scene.target_error
         final = sum(facts["final"] for facts in self.facts.values()) / len(self.shots)
         worst = {"median": float(np.median(errors)), "worst": max(errors)}
-        return {"final": final, "target_error": target, "error": worst}
+        return {"final": final, "target_error": target, "error": worst, "trouble": self.trouble}
 
     @property
     def about(self) -> dict[str, Any]:
@@ -154,15 +162,25 @@ class Reel:
         return {"scene": self._scene.name, **count, "width": first.width, "height": first.height}
 
     def shoot(self, request: ReelRequest, settings: Settings) -> None:
-        """Make the pictures that are missing. Raises StoreError and WorkersError."""
+        """Make the pictures that are missing; ``trouble`` then tells why some are not final. Raises
+        UnwritableError before any work, StoreError and WorkersError.
+        """
         if not self.missing:
             return
+        pixels = sum(self.shots[name].width * self.shots[name].height for name in self.missing)
+        check_folder_writable(self._folder, PACKED_PIXEL_BYTES * pixels)
         with working(self._scene, settings) as engine, Progress("rendering", "picture") as bar:
             try:
                 self._shoot(engine, request, settings, bar)
+                self.note_trouble(engine)
             finally:
                 if self.facts:
                     self._write_list()
+
+    def note_trouble(self, engine: RenderEngine) -> None:
+        """Note why the ``engine`` bakes no more light, if pictures are not final for that."""
+        final = all(facts["final"] for facts in self.facts.values())
+        self.trouble = "" if final else trouble_of(engine)
 
     def _shoot(
         self, engine: RenderEngine, request: ReelRequest, settings: Settings, bar: Progress

@@ -133,11 +133,6 @@ def draw(
     view = view_of(scene, params, settings)
     frame = draw_refined(engine, scene.id, view, params.max_error, seconds)
     left = engine.time_left(scene.id, frame, params.max_error)
-    # Report why light is not baked; workers that are still starting when the time is over are no
-    # such reason.
-    trouble = ""
-    if not (frame.final or engine.store.read_only):
-        trouble = engine.trouble() or engine.baker.paused()
     facts = {
         **frame_facts(frame, left),
         "target_error": params.max_error or scene.target_error,
@@ -145,10 +140,21 @@ def draw(
         "paths": engine.baker.paths,
         "stopped": stopped_by(frame),
         "note": why_empty(scene, view) if not frame.surface else "",
-        "trouble": trouble,
+        "trouble": "" if frame.final else trouble_of(engine),
     }
     exposure = scene.default_exposure if params.exposure is None else params.exposure
     return Drawn(frame, params, exposure, facts)
+
+
+def trouble_of(engine: RenderEngine) -> str:
+    """Return the reason, for a person, why an ``engine`` bakes no more light; empty if there is
+    none, or if its store is only read on purpose.
+
+    Workers that are still starting when the time is over are no such reason.
+    """
+    if engine.store.read_only:
+        return ""
+    return engine.trouble() or engine.baker.paused()
 
 
 def why_empty(scene: Scene, view: View) -> str:

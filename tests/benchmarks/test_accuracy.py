@@ -34,6 +34,7 @@ from benchmarks.accuracy.glass import error_of, glass
 from benchmarks.accuracy.interpolation import interpolation
 from benchmarks.accuracy.kept import Kept
 from benchmarks.accuracy.lobes import lobes
+from benchmarks.accuracy.looks import noise_of, steps_beyond
 from benchmarks.accuracy.projected import projected
 from benchmarks.accuracy.roulette import roulette
 from benchmarks.accuracy.scenes import load_calibrated
@@ -315,3 +316,20 @@ def test_volumes_by_formula_have_a_surface(kind: str) -> None:
 def test_a_seed_makes_the_same_volume_and_another_another() -> None:
     one, same, other = (made("coarse shell", seed)[0].voxels for seed in (1, 1, 2))
     assert np.array_equal(one, same) and not np.array_equal(one, other)
+
+
+def test_noise_to_the_eye_leaves_out_slopes_and_edges() -> None:
+    """A binomial mean over 5 × 5 pixels takes away the share √(1 - 2 · 36/256 + 0.075) of noise."""
+    y, x = np.mgrid[:64, :64]
+    noise = np.random.default_rng(1).normal(0.0, 0.3, (64, 64))
+    shown = 40.0 + 0.1 * x + 30.0 * (y > 40) + noise
+    assert noise_of(shown, np.ones((64, 64), bool)) == pytest.approx(0.27, rel=0.1)
+    assert noise_of(shown - noise, y < 38) < 1e-9
+    assert noise_of(shown, np.zeros((64, 64), bool)) == 0.0
+
+
+def test_steps_at_borders_are_those_beyond_the_truth() -> None:
+    truth = np.tile(np.arange(8.0), (8, 1))
+    own = np.tile(np.arange(8) < 4, (8, 1))
+    found = steps_beyond(truth + 2.0 * own, truth, own, np.ones((8, 8), bool))
+    assert found.tolist() == [-2.0] * 8

@@ -11,10 +11,12 @@ from benchmarks.service.fuzz import fuzz
 from benchmarks.service.load import load
 from benchmarks.service.malformed import malformed
 from benchmarks.service.memory import memory
+from benchmarks.service.time_left import Estimate, judged
 from benchmarks.service.warm_view import warm_view
 from isogi_core.kernels._jit import KERNEL_FOLDER
 from tests.benchmarks.parts import figures
 from tests.compile_kernels import compile_all
+from worker.progress import TimeLeft
 
 LACKING = ("framebuffer.tally", "transfer.locate_texels", "transfer.bake_texels")
 """Kernels that a first start compiles, one for pictures and two for light: all would take a
@@ -91,3 +93,13 @@ def test_first_start(monkeypatch: pytest.MonkeyPatch) -> None:
     moments = [found[f"{what} after, s"] for what in ("ready", "first picture", "lit")]
     assert 0.0 < moments[0] <= moments[1] <= moments[2]
     assert found["kernels"] == len(LACKING)
+
+
+def test_a_time_left_that_is_right_is_told_from_one_that_stands() -> None:
+    """Pictures of 60 seconds: one estimate that counts down, and one that is renewed unchanged."""
+    right = judged(60.0, [Estimate(0.5, TimeLeft(50.0, 59.5, 70.0))])
+    assert right["within"] == 1.0 and right["stands"] < 1.0
+    stuck = [Estimate(float(at), TimeLeft(4.0, 5.0, 6.0)) for at in range(60)]
+    wrong = judged(60.0, stuck)
+    assert wrong["within"] == pytest.approx(8 / 58, abs=0.03) and wrong["stands"] > 10.0
+    assert judged(60.0, [Estimate(0.5, None)])["samples"] == 0.0

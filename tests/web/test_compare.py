@@ -1,17 +1,20 @@
 """Parts of the picture: two shadings side by side, and what cuts take away."""
 
 import re
+from urllib.parse import parse_qsl, urlsplit
 
 import numpy as np
 import pytest
 from playwright.sync_api import Page, expect
 
+from tests.server.uploads.site import Site
 from tests.web.visits import (
     BROWSER,
     FINAL_MS,
     drag,
     middle,
     open_final,
+    open_shown,
     pixels,
     query_of,
     slide,
@@ -65,6 +68,50 @@ def test_each_side_shows_its_shading_and_they_change_places(compared: Page) -> N
     assert compared.input_value("#compare") == SHADING
     assert np.array_equal(pixels(compared), right)
     assert np.array_equal(pixels(compared, "#other"), left)
+
+
+def test_another_isovalue_is_the_picture_of_it_alone(page: Page, live_server: str) -> None:
+    """Byte for byte, before and after both sides are turned."""
+    start = f"{live_server}/?shading={SHADING}"
+    page.goto(start)
+    page.select_option("#compare", "isovalue")
+    at = page.locator("#compare-number")
+    at.evaluate("(input) => { input.value = 0.75; input.dispatchEvent(new Event('change')); }")
+    both_final(page)
+    assert page.locator(".side").all_inner_texts() == ["isovalue 0.5", "isovalue 0.75"]
+    x, y = middle(page.locator("#stage"))
+    drag(page, (x - 100, y), -60, 0)
+    both_final(page)
+    right = pixels(page, "#other")
+    address = written(page)
+    assert "compare=isovalue%3A0.75" in address
+    alone = address.replace("isovalue=0.5", "isovalue=0.75").replace("&compare=isovalue%3A0.75", "")
+    open_final(page, alone)
+    assert np.array_equal(pixels(page), right)
+    page.goto(address)
+    both_final(page)
+    assert np.array_equal(pixels(page, "#other"), right)
+
+
+def test_another_scene_turns_along(page: Page, site: Site) -> None:
+    """A volume that was uploaded lies beside the server's."""
+    kept = site.send(12)
+    other = kept["id"]
+    open_shown(page, str(site.client.base_url) + f"/?shading={SHADING}&compare=scene:{other}")
+    both_final(page)
+    before = pixels(page, "#other")
+    x, y = middle(page.locator("#stage"))
+    with page.expect_request(lambda asked: f"/{other}/frame" in asked.url) as asked:
+        drag(page, (x - 100, y), -60, 0)
+    both_final(page)
+    right = dict(parse_qsl(urlsplit(asked.value.url).query))
+    assert float(right["azimuth"]) == float(query_of(page)["azimuth"])
+    assert np.abs(pixels(page, "#other") - before).mean() > 0.3
+    page.goto(f"{site.client.base_url}/?compare=scene:nothing")
+    expect(page.locator("#notice")).to_contain_text("no scene “nothing” to compare with")
+    expect(page.locator("#comparison")).to_be_hidden()
+    page.goto("about:blank")  # a page that asks on for what is deleted complains
+    site.client.delete(kept["href"])
 
 
 def test_while_the_view_moves_the_right_side_shows_nothing_old(compared: Page) -> None:

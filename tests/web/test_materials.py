@@ -199,7 +199,6 @@ def greenness(path: Path) -> np.ndarray:
     return np.asarray(green > red + 30)
 
 
-@pytest.mark.xfail(strict=False, reason="open: saved at once, see polling.js")
 def test_a_label_is_hidden_by_keys_and_named_in_a_saved_picture(
     page: Page, segmented: str, tmp_path: Path
 ) -> None:
@@ -220,9 +219,10 @@ def test_a_label_is_hidden_by_keys_and_named_in_a_saved_picture(
     assert not greenness(tmp_path / "0.png").any(), "the spleen is gone"
     rows, columns = np.nonzero(np.abs(found[1] - found[0]).max(axis=-1) > 2)
     high, wide, _ = found[0].shape
-    assert len(rows) > 500 and rows.min() > 0.8 * high and columns.min() > 0.7 * wide, (
-        "a row for the liver"
-    )
+    # The picture that is there is saved as large as it is, and the legend grows with it.
+    assert (
+        len(rows) > high * wide / 2000 and rows.min() > 0.8 * high and columns.min() > 0.7 * wide
+    ), "a row for the liver"
     page.keyboard.press("Escape")
     page.click("#labels-all")
     wait_final(page)

@@ -5,8 +5,14 @@
 
 import { WHITE, startAlbedo } from "../view/albedo.js";
 import { exactValue } from "../view/format.js";
-import { readCrossHair, readMeasure, writeCrossHair, writeMeasure } from "../view/measures.js";
-import { NUMBERS, inShort } from "../view/model.js";
+import {
+  readCrossHair,
+  readMeasure,
+  readNotes,
+  writeCrossHair,
+  writeMeasure,
+} from "../view/measures.js";
+import { NUMBERS, inShort, readDifference } from "../view/model.js";
 import { arePlanes } from "../view/planes.js";
 import { areHidden, areSurfaces, idleKnobs, isMaterial } from "../view/surfaces.js";
 import { cutQuery, isUpload } from "./request.js";
@@ -80,7 +86,7 @@ export function readAddress(search) {
     .getAll("measure")
     .map(readMeasure)
     .filter((points) => points !== null);
-  if (measures.length) start.measures = measures;
+  if (measures.length) Object.assign(start, { measures, notes: readNotes(query.getAll("measure")) });
   const slices = readCrossHair(query.get("slices") ?? "");
   if (slices) start.slices = slices;
   return {
@@ -131,7 +137,8 @@ export function writeAddress(scene, values) {
     query.set("projection", values.projection);
   if (values.rulers !== "on") query.set("rulers", values.rulers);
   if (values.compare) query.set("compare", values.compare);
-  for (const points of values.measures) query.append("measure", writeMeasure(points));
+  for (const name of values.measures.map(writeMeasure))
+    query.append("measure", name in values.notes ? `${name}~${values.notes[name]}` : name);
   if (values.slices) query.set("slices", writeCrossHair(values.slices));
   return `?${query}`;
 }
@@ -178,14 +185,11 @@ export function isovalueComplaint({ ranges, volume }, isovalue) {
 
 /**
  * Return a sentence if a parameter that is not a number does not fit the scene, otherwise "".
- * @type {(scene: Pick<Scene, "shadings"> & Partial<Pick<Scene,
+ * @type {(scene: Pick<Scene, "id"|"shadings"|"ranges"|"volume"> & Partial<Pick<Scene,
  *   "environments"|"surfaces"|"colours"|"materials">>, name: string, value: string) => string}
  */
-function choiceComplaint(
-  { shadings, environments = [], surfaces = [], colours, materials = [] },
-  name,
-  value,
-) {
+function choiceComplaint(scene, name, value) {
+  const { shadings, environments = [], surfaces = [], colours, materials = [] } = scene;
   // Check each kind of parameter; the first problem is reported.
   const lit = name !== "environment" || !value || environments.some(({ id }) => id === value);
   if (!lit) return `There is no light “${value}” here.`;
@@ -201,10 +205,12 @@ function choiceComplaint(
     return `“${value}” does not fit the labels.`;
   if (name === "material" && value && !isMaterial(value, materials))
     return materialComplaint(materials, value);
+  if (name === "compare" && value && !readDifference(scene, value))
+    return `There is no “${value}” to compare with.`;
   if (name === "draw" && !DRAWS.includes(value))
     return `“${value}” draws nothing here: choose card or server.`;
-  const shading = ["shading", "compare"].includes(name);
-  if (shading && value && !shadings.includes(value)) return `There is no shading “${value}”.`;
+  if (name === "shading" && value && !shadings.includes(value))
+    return `There is no shading “${value}”.`;
   return KNOWN.has(name) ? "" : `The link says ${name}, which this page does not know.`;
 }
 

@@ -146,7 +146,7 @@ export class ErrorPanel {
 }
 
 /** Return the knobs that a view's light depends on. @param {Knobs} values */
-function lightKnobs({ exposure, overlay, compare, background, measures, rulers, ...rest }) {
+function lightKnobs({ exposure, overlay, compare, background, measures, notes, rulers, ...rest }) {
   return rest;
 }
 

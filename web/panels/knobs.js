@@ -1,6 +1,6 @@
 /**
- * Sliders, choices and buttons that mirror the view one to one: camera, light, shading, comparison
- * and marks.
+ * Sliders, choices and buttons that mirror the view one to one: camera, light, shading and
+ * marks.
  */
 
 import { find, textElement } from "../dom.js";
@@ -25,16 +25,12 @@ import { idleKnobs } from "../view/surfaces.js";
  */
 export function attachKnobs(form, scene, view, shown) {
   const select = (/** @type {string} */ id) => find(form, id, HTMLSelectElement);
-  const [shading, compare, overlay] = ["#shading", "#compare", "#overlay"].map(select);
+  const [shading, overlay] = ["#shading", "#overlay"].map(select);
   const [background, rulers, projection] = ["#background", "#rulers-choice", "#projection"].map(
     select,
   );
   const shadings = scene.shadings.map((id) => new Option(shadingName(id), id));
   shading.replaceChildren(...shadings);
-  compare.replaceChildren(
-    new Option("Nothing", ""),
-    ...shadings.map((option) => option.cloneNode(true)),
-  );
   const sliders = [...form.querySelectorAll(".knob")].map((knob) =>
     attachSlider(knob, scene, view),
   );
@@ -42,12 +38,10 @@ export function attachKnobs(form, scene, view, shown) {
   const mirrors = [
     ...sliders,
     attachChoice(shading, "shading", view),
-    attachChoice(compare, "compare", view),
     attachChoice(overlay, "overlay", view),
     attachChoice(background, "background", view),
     attachChoice(rulers, "rulers", view),
     attachChoice(projection, "projection", view),
-    disableOwn(compare),
     attachTint(find(form, "#tint", HTMLInputElement), view),
     attachShine(select("#shine"), scene, view),
     attachAxisViews(find(form, "#axis-views"), view),
@@ -151,7 +145,7 @@ export function attachSlider(knob, scene, view) {
 /**
  * Tie a choice to the view, both ways.
  * @param {HTMLSelectElement} select
- * @param {"shading"|"compare"|"overlay"|"background"|"rulers"|"projection"} name
+ * @param {"shading"|"overlay"|"background"|"rulers"|"projection"} name
  * @param {ViewModel} view
  * @returns {Mirror}
  */
@@ -159,18 +153,6 @@ function attachChoice(select, name, view) {
   select.addEventListener("change", () => view.set({ [name]: select.value }));
   return (values) => {
     select.value = values[name];
-  };
-}
-
-/**
- * Disable the view's shading in the choice of shadings to compare it with.
- * @param {HTMLSelectElement} compare
- * @returns {Mirror}
- */
-function disableOwn(compare) {
-  return ({ shading }) => {
-    for (const option of compare.options)
-      option.hidden = option.disabled = option.value === shading;
   };
 }
 

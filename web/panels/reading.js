@@ -5,7 +5,13 @@
 
 import { find, textElement } from "../dom.js";
 import { retryDelay } from "../net/trouble.js";
-import { MOST, knownInWords, measureInWords } from "../view/measures.js";
+import {
+  MOST,
+  NOTE_LETTERS,
+  knownInWords,
+  measureInWords,
+  writeMeasure,
+} from "../view/measures.js";
 
 /** @typedef {import("../net/schemas.js").Scene} Scene */
 /** @typedef {import("../documents.js").Size} Size */
@@ -155,13 +161,37 @@ export function attachMeasures(panel, { volume }, view) {
           view.set({ measures: measures.filter((_, i) => i !== n) }),
         );
         const item = textElement("li", `${points.length > 2 ? "Angle" : "Distance"} ${words}`);
-        item.append(button);
+        item.append(noteField(view, writeMeasure(points), words), button);
         return item;
       }),
     );
+    fill();
+  };
+  const fill = () => {
+    const { measures, notes } = view.values;
+    panel.querySelectorAll("input").forEach((input, n) => {
+      input.value = notes[writeMeasure(measures[n])] ?? "";
+    });
   };
   view.watch(({ measures }) => measures, draw);
+  view.watch(({ notes }) => notes, fill);
   draw();
+}
+
+/**
+ * Make the field of the text beside a measure.
+ * @param {ViewModel} view
+ * @param {string} name of the measure, as `writeMeasure` returns it
+ * @param {string} words that the measure shows
+ */
+function noteField(view, name, words) {
+  const field = document.createElement("input");
+  Object.assign(field, { maxLength: NOTE_LETTERS, placeholder: "Name it" });
+  field.setAttribute("aria-label", `Name of ${words}`);
+  field.addEventListener("change", () =>
+    view.set({ notes: { ...view.values.notes, [name]: field.value } }),
+  );
+  return field;
 }
 
 const REST_MS = 400; // time without a change after which a surface is measured

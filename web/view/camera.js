@@ -7,6 +7,7 @@ import { cameraAxes, dot, vector } from "./rotation.js";
 
 /** @typedef {import("./rotation.js").Vec3} Vec3 */
 /** @typedef {import("../net/schemas.js").Scene} Scene */
+/** @typedef {import("./model.js").Knobs} Knobs */
 /**
  * @typedef {{azimuth: number, elevation: number, distance: number, fov: number, target: Vec3|null,
  *   projection?: string}} Orbit knobs of the camera
@@ -16,6 +17,7 @@ import { cameraAxes, dot, vector } from "./rotation.js";
  *   the upward direction of the picture
  */
 
+const SAME_SIZE = 0.01; // share by which the boxes of volumes in one world may differ
 const MARGIN = 0.5; // distance of a target from the volume's box at most, in radii
 const FURTHEST = 1e12; // largest coordinate that the server accepts
 const CLOSE = 0.05; // degrees between directions that count as equal
@@ -192,4 +194,46 @@ export function sidesOf({ volume }, values) {
     top: letter(up, 1),
     bottom: letter(up, -1),
   };
+}
+
+/**
+ * Return true if the volumes of two scenes fill the same box of one world, so that one camera shows
+ * both.
+ * @param {Pick<Scene, "volume">} a
+ * @param {Pick<Scene, "volume">} b
+ * @returns {boolean}
+ */
+export function isOneWorld(a, b) {
+  const most = SAME_SIZE * boxOf(a).radius;
+  const apart = a.volume.bounds.flatMap((corner, end) =>
+    corner.map((at, axis) => Math.abs(at - b.volume.bounds[end][axis])),
+  );
+  return (
+    a.volume.unit === b.volume.unit &&
+    a.volume.letters === b.volume.letters &&
+    apart.every((each) => each <= most)
+  );
+}
+
+/**
+ * Return the camera by which another scene is seen as a view of a scene is.
+ *
+ * In one world it is the same camera. Otherwise it looks in the same direction; its distance from
+ * the fitted one, and that of its target, are the same in proportion to the size of the volume.
+ *
+ * @param {Pick<Scene, "volume"|"start">} scene
+ * @param {Knobs} values view of the scene
+ * @param {Pick<Scene, "volume"|"start">} other
+ * @returns {Pick<Knobs, "azimuth"|"elevation"|"distance"|"fov"|"projection"|"target">}
+ */
+export function linkedCamera(scene, values, other) {
+  const { azimuth, elevation, distance, fov, projection, target } = values;
+  const camera = { azimuth, elevation, distance, fov, projection, target };
+  if (isOneWorld(scene, other)) return camera;
+  const [here, there] = [boxOf(scene), boxOf(other)];
+  const [from, to] = [scene, other].map(({ start }, k) => start.target ?? [here, there][k].centre);
+  const at = target ?? here.centre;
+  const moved = vector((i) => to[i] + ((at[i] - from[i]) * there.radius) / here.radius);
+  const share = distance / Number(scene.start.distance);
+  return { ...camera, distance: share * Number(other.start.distance), target: moved };
 }

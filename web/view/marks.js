@@ -5,7 +5,7 @@
 
 import { sizeOf, svgElement } from "../dom.js";
 import { placeOf } from "./camera.js";
-import { arcOf, measureInWords, worldOf } from "./measures.js";
+import { arcOf, measureInWords, worldOf, writeMeasure } from "./measures.js";
 
 /** @typedef {import("./camera.js").Vec3} Vec3 */
 /** @typedef {import("./measures.js").Measure} Measure */
@@ -177,7 +177,9 @@ export class Marks {
     if (all.flat().some((point) => this.place(point).depth <= 0)) return [];
     const [line, arc] = all.map((row) => row.map((point) => this.spot(point)));
     const hidden = points.some((point) => this.hides(point)) ? "hidden" : "";
-    const words = measureInWords(this.#scene.volume, points);
+    const note = this.#view.values.notes[writeMeasure(points)];
+    const found = measureInWords(this.#scene.volume, points);
+    const words = note ? `${note}: ${found}` : found;
     return [...pathOf(line, hidden), ...pathOf(arc, hidden), labelOf(line, arc, words)];
   }
 }

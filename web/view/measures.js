@@ -9,6 +9,7 @@ import { dot, vector } from "./rotation.js";
 /** @typedef {import("./rotation.js").Vec3} Vec3 */
 /** @typedef {import("../documents.js").Volume} Volume */
 /** @typedef {Vec3[]} Measure two points, or three */
+/** @typedef {Record<string, string>} Notes texts beside measures, by what `writeMeasure` returns */
 /** @typedef {[number, number]} Greys the values that are black and white, ascending */
 /**
  * @typedef {{voxel: Vec3, greys: Greys|null}} CrossHair voxel indices, x first; null in `greys`
@@ -23,6 +24,9 @@ const ARC_STEPS = 16; // segments of an arc
 
 /** Number of measures that a view may have. */
 export const MOST = 20;
+
+/** Number of letters that a text beside a measure may have. */
+export const NOTE_LETTERS = 60;
 
 /**
  * Round measures to the digits of an address; anything else than a measure is left out.
@@ -47,15 +51,48 @@ export function writeMeasure(points) {
 }
 
 /**
- * Read a measure from the address; null if the text is none.
+ * Read a measure from the address, which may have a text behind a tilde; null if there is none.
  * @param {string} text
  * @returns {Measure|null}
  */
 export function readMeasure(text) {
   const points = text
+    .split("~", 1)[0]
     .split(";")
     .map((point) => point.split(",").map((x) => (x.trim() ? Number(x) : NaN)));
   return isMeasure(points) ? points : null;
+}
+
+/**
+ * Return the texts beside measures that addresses give, as in `0,0,0;1,2,3~width of the duct`.
+ * @param {string[]} measures as in an address
+ * @returns {Notes}
+ */
+export function readNotes(measures) {
+  /** @type {Notes} */
+  const notes = {};
+  for (const text of measures) {
+    const points = readMeasure(text);
+    const note = text.includes("~") ? text.slice(text.indexOf("~") + 1) : "";
+    if (points && note) notes[writeMeasure(points.map(rounded))] = note;
+  }
+  return notes;
+}
+
+/**
+ * Leave out texts of measures that a view does not have, and shorten long ones.
+ * @param {unknown} wanted
+ * @param {Measure[]} measures
+ * @returns {Notes}
+ */
+export function limitNotes(wanted, measures) {
+  if (typeof wanted !== "object" || wanted === null) return {};
+  const given = /** @type {Record<string, unknown>} */ (wanted);
+  const known = measures.map(writeMeasure).flatMap((name) => {
+    const note = Object.hasOwn(given, name) ? String(given[name]).trim() : "";
+    return note ? [[name, [...note].slice(0, NOTE_LETTERS).join("")]] : [];
+  });
+  return Object.fromEntries(known);
 }
 
 /**

@@ -6,7 +6,7 @@
 import { isTint, startAlbedo } from "./albedo.js";
 import { PROJECTIONS, limitTarget } from "./camera.js";
 import { niceStep, showNumber } from "./format.js";
-import { limitCrossHair, limitMeasures } from "./measures.js";
+import { limitCrossHair, limitMeasures, limitNotes } from "./measures.js";
 import { arePlanes } from "./planes.js";
 import { RULERS } from "./rulers.js";
 import { areHidden, areSurfaces, isMaterial } from "./surfaces.js";
@@ -36,10 +36,12 @@ import { areHidden, areSurfaces, isMaterial } from "./surfaces.js";
  * @property {string} projection one of PROJECTIONS
  * @property {string} shading
  * @property {string} overlay one of OVERLAYS
- * @property {string} compare a shading, or ""
+ * @property {string} compare the difference of the right side, as `readDifference` reads it, such as
+ *   `phong`, `isovalue:90`, `time:7` or `scene:engine`; "" for no right side
  * @property {string} background one of BACKGROUNDS
  * @property {string} rulers one of RULERS: "on" if a scale bar and the axes are shown
  * @property {import("./measures.js").Measure[]} measures distances and angles in the world
+ * @property {import("./measures.js").Notes} notes texts beside measures
  * @property {import("./measures.js").CrossHair|null} slices point in which the slices next to the
  *   picture cross; null for no slices
  * @property {string} environment the id of one of the scene's environments; "" for the scene's
@@ -76,6 +78,17 @@ export const UNITS = {
 
 /** Knobs that are numbers, in that order. */
 export const NUMBERS = /** @type {NumberKnob[]} */ (Object.keys(UNITS));
+
+/**
+ * @typedef {object} Difference what is different on the right side; all else is undefined
+ * @property {string} [shading]
+ * @property {number} [isovalue]
+ * @property {number} [time]
+ * @property {string} [scene] the id of another scene
+ */
+
+/** Knobs that are numbers, by which the two sides may differ. @type {("isovalue"|"time")[]} */
+export const COMPARED_NUMBERS = ["isovalue", "time"];
 
 /** Marks that may be drawn over the picture. */
 export const OVERLAYS = ["none", "provisional", "error"];
@@ -115,6 +128,34 @@ export function sliderRange(scene, name) {
   if (FULL_TURN.has(name)) return { ...turn(min, max), log: false };
   const [low, high] = handy(scene, name) ?? [min, max];
   return { min: Math.max(min, low), max: Math.min(max, high), log: LOGARITHMIC.has(name) };
+}
+
+/**
+ * Read the text of a difference.
+ * @param {Pick<Scene, "id"|"shadings"|"ranges"|"volume">} scene the scene on the left
+ * @param {string|undefined} text
+ * @returns {Difference|null} null if the scene cannot be compared so
+ */
+export function readDifference(scene, text = "") {
+  if (scene.shadings.includes(text)) return { shading: text };
+  const [, kind = "", value = ""] = /^(isovalue|time|scene):(.+)$/.exec(text) ?? [];
+  if (kind === "scene") return value === scene.id ? null : { scene: value };
+  const number = COMPARED_NUMBERS.find((each) => each === kind);
+  const range = number && comparedRange(scene, number);
+  const inside = range && Number(value) >= range.min && Number(value) <= range.max;
+  return inside ? { [number]: Number(value) } : null;
+}
+
+/**
+ * Return the range of a number by which sides may differ; null if the scene has no such knob.
+ * @param {Pick<Scene, "ranges"|"volume">} scene
+ * @param {"isovalue"|"time"} name
+ * @returns {{min: number, max: number}|null}
+ */
+export function comparedRange({ ranges, volume }, name) {
+  const [low, high] = volume.value_range;
+  const range = ranges[name] ?? (name === "isovalue" ? { min: low, max: high } : null);
+  return range && range.max > range.min ? range : null;
 }
 
 /** Holds the view, limits every change to the values that the scene allows, and calls listeners. */
@@ -159,6 +200,7 @@ export class ViewModel {
       environment: "",
       rulers: "on",
       measures: [],
+      notes: {},
       slices: null,
       planes: "",
       opened: this.#scene.cuts,
@@ -190,8 +232,8 @@ export class ViewModel {
 
   /** Go back to the start of the scene; measures and slices are kept. */
   reset() {
-    const { measures, slices } = this.#values;
-    this.set({ ...this.defaults, measures, slices });
+    const { measures, notes, slices } = this.#values;
+    this.set({ ...this.defaults, measures, notes, slices });
   }
 
   /**
@@ -241,6 +283,7 @@ export class ViewModel {
     const made = wanted.material === "" || isMaterial(wanted.material, this.#scene.materials ?? []);
     limited.material = made ? /** @type {string} */ (wanted.material) : fallback.material;
     limited.measures = limitMeasures(wanted.measures ?? fallback.measures);
+    limited.notes = limitNotes(wanted.notes ?? fallback.notes, limited.measures);
     limited.slices = limitCrossHair(
       this.#scene.volume,
       wanted.slices === undefined ? fallback.slices : wanted.slices,
@@ -274,7 +317,7 @@ export class ViewModel {
    */
   #choices(wanted, fallback) {
     /**
-     * @type {(name: "shading"|"overlay"|"compare"|"background"|"environment"|"rulers"|"projection",
+     * @type {(name: "shading"|"overlay"|"background"|"environment"|"rulers"|"projection",
      *   offered: string[]) => string}
      */
     const chosen = (name, offered) =>
@@ -282,7 +325,9 @@ export class ViewModel {
     const { shadings, environments = [] } = this.#scene;
     // Keep the former name if the scene does not offer the new one.
     const shading = chosen("shading", shadings);
-    const compare = chosen("compare", ["", ...shadings]);
+    const { compare: asked = fallback.compare } = wanted;
+    const known = asked === "" || readDifference(this.#scene, asked);
+    const compare = known ? asked : fallback.compare;
     const other = shading === fallback.shading ? "" : fallback.shading;
     const background = chosen("background", BACKGROUNDS);
     const environment = chosen("environment", ["", ...environments.map(({ id }) => id)]);

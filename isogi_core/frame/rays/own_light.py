@@ -9,7 +9,7 @@ picture's error comes to its target with the fewest paths. Traced light is filte
 import math
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -17,7 +17,12 @@ from isogi_core.bake.noise import RATE
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.control_pixels import bounces_of_truth
-from isogi_core.frame.rays.pixel_filter import NoisyPixels, correct, filter_pixels
+from isogi_core.frame.rays.pixel_filter import (
+    NoisyPixels,
+    Surroundings,
+    correct,
+    filter_pixels,
+)
 from isogi_core.frame.rays.pixel_rays import Paths, pooled_variance, variance_of_mean
 from isogi_core.frame.rays.point_paths import Estimate
 from isogi_core.frame.tiles import Tiles
@@ -54,6 +59,16 @@ BLACK_SHARE = 1e-3
 """Share of the brightest albedo below which a surface counts as black."""
 
 
+RIM = (2.0 / 3.0, 1.0 / 3.0)
+"""Shares of traced light that are shown in the pixels next to those that were chosen, and in the
+pixels beyond: it fades out to the light of texels, and no border shows.
+"""
+
+
+SAME_SURFACE = 0.01
+"""Least weight of the pixels around one at which it counts as next to them on one surface."""
+
+
 AIM = 0.85
 """Share of the target error that is aimed at, as the interval of the measured error has some
 width.
@@ -70,6 +85,7 @@ class PixelLight:
     - ``variance`` (k,): variance of its luminance.
     - ``probes`` (k, contrasts): luminances with the distribution of its noise.
     - ``expected`` (m,): expected error of the texels' luminance at all points of the picture.
+    - ``shares`` (k,): shares of the light that are shown, or one number for all points.
     """
 
     places: np.ndarray
@@ -78,6 +94,7 @@ class PixelLight:
     variance: np.ndarray
     probes: np.ndarray
     expected: np.ndarray
+    shares: np.ndarray | float = 1.0
 
     @classmethod
     def none(cls) -> "PixelLight":
@@ -151,7 +168,7 @@ class PixelLight:
             paths.of(rows).add(some, streams.PIXEL_LIGHT_STREAM, first, count - first, progress)
             estimate.sums[rows] = some
             estimate.counts[rows] = count
-        return PixelLight.of(places, estimate, paths, expected)
+        return replace(PixelLight.of(places, estimate, paths, expected), shares=choice.shares)
 
     def put(
         self, framebuffer: Framebuffer, gbuffer: GBuffer, light: RotatedLight, tiles: Tiles
@@ -177,7 +194,9 @@ class PixelLight:
         )
         expected = self.expected / (tints @ LUMINANCE_WEIGHTS)
         texels = framebuffer.radiance[pixels] / tints
-        corrected, square = correct(texels, expected, self.places, light_of_pixels, gbuffer, tiles)
+        corrected, square = correct(
+            texels, expected, self.places, light_of_pixels, gbuffer, tiles, self.shares
+        )
         framebuffer.radiance[pixels] = np.clip(corrected * tints, 0.0, np.finfo(np.float32).max)
         # Pixels with traced light are final, with the error of the mixture.
         shown = np.maximum(
@@ -210,17 +229,37 @@ class Choice:
     - ``variance``: sum of their variances that is to be reached.
     - ``count``: paths of each replica which that is expected to take.
     - ``errors`` (m,): expected error of the texels' luminance at all points.
+    - ``shares`` (k,): shares of their light that are to be shown, or one number for all.
     """
 
     places: np.ndarray
     variance: float
     count: float
     errors: np.ndarray
+    shares: np.ndarray | float = 1.0
 
     @property
     def paths(self) -> float:
         """The number of paths of all its points together."""
         return REPLICAS * self.count * len(self.places)
+
+    def with_rim(self, gbuffer: GBuffer, tiles: Tiles) -> "Choice":
+        """Return the choice with the pixels of a G-buffer around the chosen ones, in which traced
+        light fades out. Raises Cancelled.
+        """
+        around = Surroundings(gbuffer, tiles)
+        none = np.zeros(len(self.errors))
+        shares = none.copy()
+        shares[self.places] = 1.0
+        # Add the neighbours of all pixels so far, ring after ring.
+        for share in RIM:
+            near, _ = around.means((shares > 0.0)[:, None].astype(float), none)
+            shares[(shares == 0.0) & (near[:, 0] > SAME_SURFACE)] = share
+        places = np.flatnonzero(shares)
+        # Errors of texels that the rim takes away leave as much room for noise.
+        found = shares[places]
+        removed = (self.errors[places] ** 2 * found * (2.0 - found))[found < 1.0].sum()
+        return replace(self, places=places, variance=self.variance + float(removed), shares=found)
 
 
 @dataclass(eq=False)

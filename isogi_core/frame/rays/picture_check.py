@@ -163,6 +163,8 @@ class PictureCheck:
         # of pixels. If finer texels are cheaper, the check ends with ``coarse`` set, and the caller
         # shows them.
         plan = self._cheapest(frame, frame.measured, uncertainty, climbs, prices, tiles)
+        if not plan.rungs:
+            plan = replace(plan, choice=plan.choice.with_rim(frame.gbuffer, tiles))
         first = 2.0 * self.known.paths * FIRST_CONTROLS
         last = self._control_paths(frame.measured, self._aim(frame.measured))
         self.coarse = plan.finer

@@ -141,6 +141,7 @@ def correct(
     own: NoisyPixels,
     gbuffer: GBuffer,
     tiles: Tiles,
+    shares: np.ndarray | float = 1.0,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Correct the texels' ``light`` (m, 3) of a picture by the ``own`` light that paths brought to
     the points in rows ``places`` (k,); return the light, and the mean squared error (k,) of these
@@ -149,7 +150,7 @@ def correct(
     ``expected`` (m,) is the error that is expected of the texels' light at each point: differences
     are spread in proportion to it, so that light changes little where little error is expected. For
     the error see ``blended_error``; it is at least the expected error where a pixel is hardly
-    corrected. Raises Cancelled.
+    corrected. ``shares`` (k,) of the traced light are shown. Raises Cancelled.
     """
     # Spread the differences over the width of a voxel, as far as the error of a texel reaches; the
     # probes go along, and show how much noise the correction takes over.
@@ -172,29 +173,33 @@ def correct(
     # Keep the part of the traced light that differs from the corrected light by more than noise.
     apart = own.light - light[places]
     near = Surroundings(gbuffer.part(places, tiles), tiles)
-    kept, square = blended_error(own, apart @ LUMINANCE_WEIGHTS, carried, near)
+    kept, square = blended_error(own, apart @ LUMINANCE_WEIGHTS, carried, near, shares)
     light[places] += kept[:, None] * apart
     left = ((1.0 - ramp) * scale)[places, 0]
     return light, np.maximum(square, ((1.0 - kept) * left) ** 2)
 
 
 def blended_error(
-    own: NoisyPixels, apart: np.ndarray, carried: np.ndarray, near: Surroundings
+    own: NoisyPixels,
+    apart: np.ndarray,
+    carried: np.ndarray,
+    near: Surroundings,
+    shares: np.ndarray | float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the share of the ``own`` light of pixels that is kept on top of corrected light, and
     the mean squared error of the sum, (k,) each.
 
     The corrected light is C. The light O of a pixel has the variance V and is ``apart`` (k,) from C
-    by x. The share is κ = 1 - V / M, at least 0, where M is the mean of x² over pixels ``near``.
-    The shown light C + κ x then has the mean squared error
+    by x. The share is κ = s (1 - V / M), at least 0, where M is the mean of x² over pixels
+    ``near`` and s the pixel's one of ``shares``. The shown light C + κ x then has the mean squared
+    error
 
-        κ V + 2 (1 - κ) cov(O, C) + 4 V / M² · mean(x n)²   if M > V, and
-        M - V + 2 cov(O, C)                                 if it is not.
+        (1 - κ)² M + (2 κ - 1) V + 2 (1 - κ) cov(O, C) + 4 s V / M² · mean(x n)²,
 
-    The first term is the error of O where it is kept, or the error of texels beyond noise where it
-    is not; the second is noise that C took over from the same paths; the third is the noise of κ,
-    which depends on x. Probes show the last two: each adds p to O and p' to C, ``carried`` (k, n),
-    so cov(O, C) is the mean of p p', and n is p - p'.
+    without the last term if κ is 0. The first two terms are the error of O where it is kept, or the
+    error of texels beyond noise where it is not; the third is noise that C took over from the same
+    paths; the fourth is the noise of κ, which depends on x. Probes show the last two: each adds p
+    to O and p' to C, ``carried`` (k, n), so cov(O, C) is the mean of p p', and n is p - p'.
 
     The estimate for one pixel is rough, so it is averaged over pixels near, and is at least the
     noise that is left, κ² V + 2 κ (1 - κ) cov(O, C) + (1 - κ)² var(C).
@@ -217,8 +222,11 @@ def blended_error(
     floor = np.maximum(square, 1e-300)
     noise_of_share = (means[:, 3:-1] ** 2).mean(axis=1) / floor * (variance / floor)
     # The unbiased estimate of each pixel's error, averaged over pixels near.
-    risk = np.where(kept > 0.0, kept * variance + 4.0 * noise_of_share, square - variance)
-    risk = (risk + 2.0 * (1.0 - kept) * covariance)[:, None]
+    noise_of_share = np.where(kept > 0.0, shares * noise_of_share, 0.0)
+    kept = shares * kept
+    risk = (1.0 - kept) ** 2 * square + (2.0 * kept - 1.0) * variance
+    risk += 2.0 * (1.0 - kept) * covariance + 4.0 * noise_of_share
+    risk = risk[:, None]
     for step, _ in FILTER_PASSES:
         risk, _ = near.means(risk, own.variance, step)
     # It cannot be below the noise that the mixture keeps.

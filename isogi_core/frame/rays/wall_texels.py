@@ -8,7 +8,8 @@ again.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from isogi_core.bake.refine import add_paths, seeds_of, starts_at, starts_betwee
 from isogi_core.bake.texel_light import round_light
 from isogi_core.cache.wall_store import Planes, Side, planes_of, wall_layer
 from isogi_core.frame.lighting import RotatedLight
+from isogi_core.frame.rays.pixel_filter import beyond_noise
 from isogi_core.frame.rays.pixel_rays import BINOMIAL, PATH_POINTS
 from isogi_core.frame.rays.point_paths import add_glow
 from isogi_core.frame.tiles import Tiles
@@ -38,6 +40,11 @@ light.
 For an edge of height h anywhere between two texels, the squares of the second differences sum to 2
 h², and a ramp in place of the edge has the mean squared error h² / 6. Where light is smooth the
 error is a tenth of this.
+"""
+
+FILTER_STEPS = ((1, 1.0), (2, 2.7))
+"""For each pass of the filter, the distance in texels between those that it mixes; and by how much
+the variance of their mean is larger than that of independent ones, on even light.
 """
 
 FIRST_PATHS = 8
@@ -375,13 +382,14 @@ class WallTexels:
 
     @cached_property
     def leaving(self) -> np.ndarray:
-        """Linear RGB that leaves each texel, and the variance of its luminance; (texels, 4)
-        float32.
+        """Linear RGB that leaves each texel, filtered, and the variance of its luminance; (texels,
+        4) float32.
         """
-        light = np.minimum(
-            self.radiance + self.albedo * self.means.mean(axis=2), np.finfo(np.float32).max
-        )
-        leaving = np.concatenate([light, self._all_variance[..., None]], axis=2, dtype=np.float32)
+        reflected, variance = filter_wall(self.albedo * self.means.mean(axis=2), self.variance)
+        light = np.minimum(self.radiance + reflected, np.finfo(np.float32).max)
+        # Filtering changes noise alone; whether texels are final is decided before it.
+        variance = self._all_variance - self.variance + variance
+        leaving = np.concatenate([light, variance[..., None]], axis=2, dtype=np.float32)
         return leaving.reshape(-1, 4)
 
 
@@ -394,6 +402,60 @@ def between(values: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.nda
         way = np.clip(places - first, 0.0, 1.0).reshape(-1, *(1,) * (values.ndim - axis - 1))
         values = (1.0 - way) * values.take(first, axis) + way * values.take(first + 1, axis)
     return values
+
+
+def filter_wall(light: np.ndarray, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Filter the ``light`` (rows, columns, 3) of texels whose luminance has the ``variance`` (rows,
+    columns); return it, and the variance that its luminance has then.
+
+    This is the filter of pixels (``pixel_filter.filter_pixels``) on a plane: each pass keeps as
+    much of a texel's difference from the plane fitted around it as is more than noise. A slope of
+    the light does not count as a difference.
+    """
+    for step, shared in FILTER_STEPS:
+        rows, columns = (fitted_weights(size, step) for size in variance.shape)
+        # The spread around each texel, less the part that a plane explains, is noise and structure.
+        shown = light @ LUMINANCE_WEIGHTS
+        noise = rows.mean @ variance @ columns.mean.T
+        spread = rows.mean @ shown**2 @ columns.mean.T - (rows.mean @ shown @ columns.mean.T) ** 2
+        spread -= (rows.slope @ shown @ columns.mean.T) ** 2
+        spread -= (rows.mean @ shown @ columns.slope.T) ** 2
+        kept = beyond_noise(spread, noise)
+        plane = np.einsum("ij,jkc,lk->ilc", rows.here, light, columns.here, optimize=True)
+        light = plane + kept[..., None] * (light - plane)
+        taken = shared * (rows.here**2 @ variance @ (columns.here**2).T)
+        variance = np.minimum(kept * noise + (1.0 - kept) ** 2 * taken, variance)
+    return light, variance
+
+
+class FittedWeights(NamedTuple):
+    """Weights (n, n) of n texels in a row around each of them: of the ``mean``, of the ``slope`` of
+    a fitted line over one standard deviation of the distance, and of the line's value ``here``.
+    """
+
+    mean: np.ndarray
+    slope: np.ndarray
+    here: np.ndarray
+
+
+BLUR = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16.0
+"""Weights of texels from two steps before one to two steps after it."""
+
+
+@cache
+def fitted_weights(size: int, step: int) -> FittedWeights:
+    """Return the weights of ``size`` texels in a row, of which those a ``step`` apart are mixed by
+    the weights BLUR. Texels at the ends have neighbours on one side alone.
+    """
+    away = np.arange(size) - np.arange(size)[:, None]
+    near = (away % step == 0) & (np.abs(away) <= 2 * step)
+    weights = np.where(near, BLUR[np.clip(away // step + 2, 0, 4)], 0.0)
+    mean = weights / weights.sum(axis=1, keepdims=True)
+    # A line fitted by least squares passes through the mean at the mean distance.
+    middle = (mean * away).sum(axis=1, keepdims=True)
+    deviation = np.sqrt((mean * (away - middle) ** 2).sum(axis=1, keepdims=True))
+    slope = mean * (away - middle) / np.maximum(deviation, 1e-30)
+    return FittedWeights(mean, slope, mean - middle / np.maximum(deviation, 1e-30) * slope)
 
 
 def pooled(variance: np.ndarray) -> np.ndarray:

@@ -288,6 +288,36 @@ def test_no_border_shows_beside_light_of_their_own() -> None:
     assert ((light - 1.0)[own] ** 2).mean() < 0.15 * GRAIN**2
 
 
+def test_traced_light_fades_out_around_the_chosen_pixels() -> None:
+    """Texels are wrong by stripes that no correction of the pixels around can know."""
+    gbuffer = from_afar(8.0)
+    column = np.arange(SIZE**2) % SIZE
+    row = np.arange(SIZE**2) // SIZE
+    error = 0.3 * (-1.0) ** (row // 2)
+    chosen = np.flatnonzero(column < SIZE // 2)
+    choice = Choice(chosen, 1.0, 16.0, np.full(SIZE**2, 0.3)).with_rim(gbuffer, Tiles(1))
+    shares = np.zeros(SIZE**2)
+    shares[choice.places] = choice.shares
+    first = SIZE // 2
+    assert (shares[column < first] == 1.0).all()
+    assert shares[column == first] == pytest.approx(2 / 3)
+    assert shares[column == first + 1] == pytest.approx(1 / 3)
+    assert (shares[column > first + 1] == 0.0).all()
+    # The rim's errors of texels leave room for noise: 8/9 and 5/9 of them are gone.
+    assert choice.variance == pytest.approx(1.0 + 0.3**2 * SIZE * (8 / 9 + 5 / 9))
+
+    def steepest(places: np.ndarray, shown: np.ndarray | float) -> float:
+        count = len(places)
+        own = NoisyPixels(np.ones((count, 3)), np.full(count, 1e-6), 1e-3 * probes(count))
+        texels = (1.0 + error)[:, None].repeat(3, axis=1)
+        even = np.ones(SIZE**2)
+        light, _ = correct(texels, even, places, own, gbuffer, Tiles(1), shown)
+        picture = light[:, 0].reshape(SIZE, SIZE)
+        return float(np.abs(np.diff(picture, axis=1)).max())
+
+    assert steepest(choice.places, choice.shares) < 0.5 * steepest(chosen, 1.0)
+
+
 def test_light_that_is_expected_to_be_right_stays() -> None:
     """Each fourth column is right, and known to be, among others that are far off."""
     own = np.arange(SIZE**2) % 4 > 0
@@ -317,9 +347,15 @@ def test_what_is_left_of_the_noise_is_said() -> None:
     assert variance.mean() < 0.5 * GRAIN**2
 
 
+@pytest.mark.parametrize(("share", "most"), [(1.0, 1.3), (0.5, 1.7)])
 @pytest.mark.parametrize("wrong", [0.0, 0.5, 1.0, 4.0])
-def test_errors_of_corrected_light_hold_for_many_seeds(wrong: float) -> None:
-    """Texels err by waves some pixels long, by so many times the noise of pixels' light."""
+def test_errors_of_corrected_light_hold_for_many_seeds(
+    wrong: float, share: float, most: float
+) -> None:
+    """Texels err by waves some pixels long, by so many times the noise of pixels' light; and the
+    pixels show a ``share`` of their light. The error that is reported is ``most`` times the true
+    one at most.
+    """
     x, y = (np.arange(SIZE**2) % SIZE, np.arange(SIZE**2) // SIZE)
     error = wrong * GRAIN * np.sin(x / 2.0) * np.cos(y / 3.0)
     own = (x + y) % 4 > 0
@@ -334,11 +370,12 @@ def test_errors_of_corrected_light_hold_for_many_seeds(wrong: float) -> None:
         light = (1.0 + noise)[:, None].repeat(3, axis=1)
         variance = np.full(len(places), GRAIN**2)
         given = NoisyPixels(light, variance, probes(len(places), 100 + seed))
-        found, square = correct(texels, expected, places, given, gbuffer, Tiles(1))
+        shares = np.full(len(places), share)
+        found, square = correct(texels, expected, places, given, gbuffer, Tiles(1), shares)
         assert (square > 0.0).all()
         squares.append(((found @ LUMINANCE_WEIGHTS - 1.0)[places] ** 2).mean())
         reported.append(square.mean())
-    assert 0.9 < math.sqrt(np.mean(reported) / np.mean(squares)) < 1.3
+    assert 0.9 < math.sqrt(np.mean(reported) / np.mean(squares)) < most
 
 
 @pytest.mark.slow

@@ -17,7 +17,12 @@ from isogi_core.files.vector import triple
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.wall_light import RoomLight
-from isogi_core.frame.rays.wall_texels import FINE_WALL_TEXELS, MAX_WALL_TEXELS, WallTexels
+from isogi_core.frame.rays.wall_texels import (
+    FINE_WALL_TEXELS,
+    MAX_WALL_TEXELS,
+    WallTexels,
+    filter_wall,
+)
 from isogi_core.frame.several.composed_frame import parts_of
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
@@ -324,6 +329,46 @@ def test_noise_of_walls_is_not_taken_for_edges() -> None:
     texels = wall_texels(64, lambda x, y: 1.0 + 0.3 * np.sin(3.0 * x + y), noise=0.1)
     assert texels.unsharp.mean() < 0.25 * texels.variance.mean()
     assert not texels.too_coarse(0.02)
+
+
+def test_the_noise_of_walls_is_filtered_out_of_what_they_show() -> None:
+    """But for a quarter, whether light is even, rises or waves; and the variance says so."""
+    for light in (
+        lambda x, y: 1.0 + 0.0 * x,
+        lambda x, y: 0.4 + x + 0.5 * y,
+        lambda x, y: 1.0 + 0.3 * np.sin(3.0 * x + y),
+    ):
+        texels = wall_texels(64, light, noise=0.03)
+        truth = wall_texels(64, light).luminance
+        shown = texels.leaving.reshape(64, 64, 4)
+        wrong = np.sqrt(((shown[..., :3] @ LUMINANCE_WEIGHTS - truth) ** 2).mean())
+        noise = np.sqrt(((texels.luminance - truth) ** 2).mean())
+        assert wrong < 0.3 * noise
+        told = np.sqrt((shown[..., 3] - texels.unsharp).mean())
+        assert 0.8 < told / wrong < 1.3
+        # Whether they have enough paths is decided by light as it was traced.
+        assert np.sqrt(texels.variance.mean()) == pytest.approx(noise, rel=0.1)
+
+
+def test_edges_of_shadows_on_walls_stay() -> None:
+    def shadow(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return 1.0 + (x > 0.5)
+
+    texels = wall_texels(64, shadow, noise=0.03)
+    shown = texels.leaving.reshape(64, 64, 4)[..., 0]
+    truth = wall_texels(64, shadow).luminance
+    assert np.abs((shown - truth).mean(axis=0)).max() < 0.02, "an edge 1 high"
+    assert ((shown - truth) ** 2).mean() < ((texels.luminance - truth) ** 2).mean()
+
+
+@pytest.mark.parametrize("shape", [(2, 2), (2, 64), (3, 5)])
+def test_the_shortest_walls_are_filtered_too(shape: tuple[int, int]) -> None:
+    light = np.random.default_rng(1).uniform(0.5, 1.5, (*shape, 3))
+    found, variance = filter_wall(light, np.full(shape, 0.1))
+    assert np.isfinite(found).all() and (variance <= 0.1).all()
+    rising = np.add.outer(np.arange(shape[0]), 2.0 * np.arange(shape[1]))[..., None] * np.ones(3)
+    found, _ = filter_wall(rising, np.full(shape, 0.1))
+    np.testing.assert_allclose(found, rising, atol=1e-9)
 
 
 # --- walls before and beside texels

@@ -22,8 +22,10 @@ from isogi_core.model.view import Camera, View
 from isogi_core.plan.assembly import load_scene
 from isogi_core.storage.atomic_file import write_whole
 from server.cli.command import VIEW_OPTIONS, WORK_OPTIONS, run
+from server.cli.reel import Reel
 from server.cli.render import rendered, stopped_by
-from server.parameters import FrameParams
+from server.parameters import FrameParams, read
+from server.progress import open_scene
 from server.settings import Settings
 from tests.server.asking import Told
 
@@ -285,6 +287,89 @@ def test_a_render_whose_store_is_full_fails_with_a_word(
     assert (
         said.err
         == "isogi: The light is not complete. The store is full: make room, and baking goes on.\n"
+    )
+
+
+FILM = ["film", "demo:orbital", "--length", "1", "--fps", "2", "--width", "32", "--height", "32"]
+
+
+@pytest.mark.parametrize(
+    ("command", "output"),
+    [
+        (["export", "demo:orbital"], "a.ply"),
+        (["export", "demo:orbital", "--yaw", "0:180:90"], "a.nrrd"),
+        (FILM, "a.gif"),
+        (FILM, "pictures"),
+        (["publish", "demo:orbital", *SIZE], "page"),
+        (["publish", "demo:orbital", "--interactive"], "page"),
+        (["publish", "demo:orbital", "--interactive"], "page.html"),
+    ],
+)
+def test_long_work_checks_its_output_first(
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    command: list[str],
+    output: str,
+) -> None:
+    """On a full disk, before any light is baked; and nothing is left of the trial."""
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    for module in ("reel", "prewarm", "publish_live"):
+        monkeypatch.setattr(f"server.cli.{module}.working", lambda *_, **__: pytest.fail("begun"))
+    assert run([*command, "-o", str(tmp_path / output)]) == 1
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert "cannot be written (No space left on device): make room" in error
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("work", ["export", "film", "publish"])
+def test_work_whose_store_is_full_fails_with_a_word(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], work: str
+) -> None:
+    facts = {"file": "a", "trouble": "The store is full: make room, and baking goes on."}
+    monkeypatch.setattr(f"server.cli.{work}.{work}", lambda *_: facts)
+    assert run([work, "demo:orbital", "-o", "a", "--json"]) == 1
+    said = capsys.readouterr()
+    assert json.loads(said.out) == facts
+    assert (
+        said.err
+        == "isogi: The light is not complete. The store is full: make room, and baking goes on.\n"
+    )
+
+
+def test_pictures_tell_why_no_more_light_came(tmp_path: Path) -> None:
+    """A film within a limit of time, whose store is full."""
+    scene = open_scene("demo:orbital", Settings())
+    shot = read(FrameParams, {"width": "8", "height": "8", "f": "png"}.items())
+    reel = Reel(tmp_path, scene, {"a.png": shot})
+    engine = SimpleNamespace(
+        store=SimpleNamespace(read_only=False),
+        trouble=lambda: "",
+        baker=SimpleNamespace(paused=lambda: "The store is full."),
+    )
+    reel.keep("a.png", b"", {"error": 0.5, "final": False})
+    reel.note_trouble(engine)  # type: ignore[arg-type]
+    assert reel.summary()["trouble"] == "The store is full."
+    reel.keep("a.png", b"", {"error": 0.01, "final": True})
+    reel.note_trouble(engine)  # type: ignore[arg-type]
+    assert reel.summary()["trouble"] == ""
+
+
+def test_a_full_disk_is_a_sentence(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("server.cli.render.render", full)
+    assert run(["render", "demo:orbital", "-o", "a.png"]) == 1
+    assert capsys.readouterr().err == (
+        "isogi: The output cannot be written (No space left on device): make room, and run the "
+        "command again.\n"
     )
 
 

@@ -37,7 +37,7 @@ export const POLISHED = {
 /** A view of SCENE, with other knobs where they are given. */
 export function knobs(values = {}) {
   const { width, height, ...numbers } = SCENE.defaults;
-  return { ...numbers, target: null, overlay: "none", compare: "", background: "page", projection: "perspective", rulers: "on", measures: [], slices: null, planes: "", opened: true, surfaces: "", hide: "", material: "", ...values };
+  return { ...numbers, target: null, overlay: "none", compare: "", background: "page", projection: "perspective", rulers: "on", measures: [], notes: {}, slices: null, planes: "", opened: true, surfaces: "", hide: "", material: "", ...values };
 }
 
 /** A clock that stands still until it is told to pass; timers run in the order of their times. */

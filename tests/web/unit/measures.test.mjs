@@ -3,7 +3,7 @@ import { test } from "node:test";
 import { complaints, readAddress, writeAddress } from "../../../web/net/address.js";
 import { sizeRows } from "../../../web/panels/reading.js";
 import { rayThrough } from "../../../web/view/camera.js";
-import { MOST, angleOf, arcOf, coordinatesInWords, distanceOf, knownInWords, lengthInWords, limitMeasures, measureInWords, placeInWords, readCrossHair, readMeasure, sidesAt, writeCrossHair, writeMeasure } from "../../../web/view/measures.js";
+import { MOST, angleOf, arcOf, coordinatesInWords, distanceOf, knownInWords, lengthInWords, limitMeasures, limitNotes, measureInWords, placeInWords, readCrossHair, readMeasure, sidesAt, writeCrossHair, writeMeasure } from "../../../web/view/measures.js";
 import { ViewModel } from "../../../web/view/model.js";
 import { legendNumbers, legendOf, legendShapes, roundLength, rulerShapes, scaleBar, tripod } from "../../../web/view/rulers.js";
 import { SCENE, knobs } from "./fixtures.mjs";
@@ -201,4 +201,20 @@ test("a legend has numbers at even steps, from the first colour to the last", ()
   assert.deepEqual(legendNumbers(0, 80), ["0", "20", "40", "60", "80"]);
   assert.deepEqual(legendNumbers(-1, 1), ["−1", "−0.5", "0", "0.5", "1"]);
   assert.deepEqual(legendNumbers(0.00123456, 0.00623456), ["0.00123", "0.00248", "0.00373", "0.00498", "0.00623"]);
+});
+
+test("texts beside measures are kept in the address, and leave with their measures", () => {
+  const measures = [[[0, 0, 0], [1, 2, 3]], [[0, 0, 0], [4, 5, 6]]];
+  const view = new ViewModel(SCENE, { measures });
+  const first = writeMeasure(measures[0]);
+  view.set({ notes: { [first]: "  width ~ of the duct & more ", other: "nothing" } });
+  assert.deepEqual(view.values.notes, { [first]: "width ~ of the duct & more" });
+  const { start } = readAddress(writeAddress(SCENE, view.values));
+  assert.deepEqual(new ViewModel(SCENE, start).values.notes, view.values.notes);
+  assert.deepEqual(new ViewModel(SCENE, start).values.measures, measures);
+  view.set({ notes: { [first]: "x".repeat(99) } });
+  assert.equal(view.values.notes[first].length, 60);
+  view.set({ measures: [measures[1]] });
+  assert.deepEqual(view.values.notes, {});
+  assert.deepEqual(limitNotes("nonsense", measures), {});
 });
