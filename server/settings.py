@@ -95,8 +95,8 @@ class Settings(BaseSettings):
         2048,
         ge=1,
         le=1 << 20,
-        description="Megabytes of voxels, mapped from a copy on the disk, that a process "
-        "holds; volumes of at most an eighth of it are in memory without a copy.",
+        description="Megabytes of voxels that a process has room for: volumes of at most an "
+        "eighth of it are in memory, larger ones are mapped from a copy on the disk.",
     )
     volume_cache: str | None = Field(
         None,
