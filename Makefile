@@ -72,7 +72,8 @@ test:
 test-all: test
 	$(RUN) $(MORE) -m "not ($(SOON) or long)"
 
-# Every line of README and docs as it stands, films at full length too, and a thousand changes of the page: an hour.
+# What takes minutes each: every line of README and docs as it stands, films, kills, slow kinds of pictures, and a
+# thousand changes of the page. An hour and a half.
 test-long: $(BIN)/.tools
 	$(BIN)/python -m pytest -m long $(TESTS)
 

@@ -213,6 +213,7 @@ def test_the_noise_of_the_truth_is_no_part_of_an_error() -> None:
     assert error_of(shown(np.full(100_000, 2.0)), halves) < 0.02
 
 
+@pytest.mark.long
 def test_glass_is_at_its_target_at_rest_and_says_so() -> None:
     found = figures(glass, "demo:casting", "--size", "16", "--trees", "8", "--paths", "8")
     assert 0.0 < found["true at rest, worst"] < 0.03

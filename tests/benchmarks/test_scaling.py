@@ -38,6 +38,7 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> str:
     return str(scene)
 
 
+@pytest.mark.long
 def test_kills(tiny: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a server that soon dies; kills of workers and prewarms have tests of their own, beside
     what they are about.
@@ -76,6 +77,7 @@ def test_kills_come_in_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found == {"servers killed": 25, kills_module.RESTART: 6.0}
 
 
+@pytest.mark.long
 def test_damage(tiny: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(damage_module, "WORKERS", 1)
     found = figures(damage, tiny, "--damaged", "11", "--flips", "50", "--views", "1")
@@ -114,6 +116,7 @@ def test_public_files_that_are_refused_are_listed(tmp_path: Path) -> None:
     assert "'page.nrrd' seems to be a web page" in found.read_as
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("missing", ["", "nibabel"])
 def test_kinds(missing: str, monkeypatch: pytest.MonkeyPatch) -> None:
     few = {name: kinds_module.WRITERS[name] for name in ("f.nii", "f.h5")}

@@ -108,6 +108,7 @@ def test_paths() -> None:
     assert 0.3 < found["radiance: isogi"] < 0.7
 
 
+@pytest.mark.long
 def test_growth() -> None:
     found = positive(growth.growth, "demo:orbital", "--largest", "32")
     names = {f"{step}: {s}_ms" for step in ("32³", "8²", "16²", "32²") for s in ("gi", "lambert")}
@@ -171,6 +172,7 @@ def test_points_tell_of_texels_and_of_pixels() -> None:
         )
 
 
+@pytest.mark.long
 def test_film(small_scene: Path, tmp_path: Path) -> None:
     small = (
         "--frames",

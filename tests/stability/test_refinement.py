@@ -166,8 +166,14 @@ def digests(name: str, threads: int) -> list[str]:
         return [*found, hashlib.blake2b(repr(objects).encode(), digest_size=8).hexdigest()]
 
 
+LONG = {"several", "several among walls", "glass", "shine", "shine among walls", "walls"}
+"""Kinds of pictures that take more than a dozen seconds of a processor each."""
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(each, marks=[pytest.mark.long] * (each in LONG)) for each in KINDS]
+)
 def test_steps_of_refinement_do_not_depend_on_threads(name: str) -> None:
     assert digests(name, 1) == digests(name, 3)
 
