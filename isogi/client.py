@@ -27,6 +27,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, Self
 from urllib.parse import quote
+from uuid import uuid4
 
 import httpx
 import httpx_sse
@@ -889,7 +890,10 @@ class Isogi:
         >>> isogi.export("casting", "casting.glb", isovalue=0.5, yaw=90, deadline=300)
         """
         asked = query({**view, "f": Path(path).suffix.removeprefix(".")})
-        job = Job(self, self._json("POST", f"{scene_path(scene)}/export", params=asked)["jobID"])
+        # A request that is repeated, as its answer was lost, must not begin a second job.
+        once = {"Idempotency-Key": uuid4().hex}
+        begun = self._json("POST", f"{scene_path(scene)}/export", params=asked, headers=once)
+        job = Job(self, begun["jobID"])
         try:
             job.end(progress)
             Path(path).write_bytes(self._ask("GET", f"{job._path}/file").content)

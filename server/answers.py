@@ -606,5 +606,5 @@ def chunks_in(renderer: Renderer, frame: Frame) -> list[CardChunk]:
     if frame.quality.lacking is None or frame.view.shading != "gi":
         return []
     return chunk_list(
-        seen_chunks(renderer, frame.view, frame.quality.lacking.reading.target, renderer.tiles)
+        seen_chunks(renderer, frame.view, frame.quality.lacking.reading.goal.error, renderer.tiles)
     )

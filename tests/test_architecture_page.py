@@ -114,14 +114,18 @@ def test_the_page_names_files_that_are_there() -> None:
     assert [name for name in named if not (ROOT / name).is_file()] == []
 
 
-def test_the_picture_is_of_these_rooms() -> None:
-    command = [
-        sys.executable,
-        "-c",
-        "import draw_architecture as d; print(d.picture() == d.PICTURE.read_text())",
-    ]
-    drawn = subprocess.run(command, cwd=ROOT / "docs", capture_output=True, text=True, check=True)
-    assert drawn.stdout.strip() == "True", "run: python docs/draw_architecture.py"
+@pytest.mark.parametrize(
+    ("program", "made", "kept"),
+    [
+        ("draw_architecture", "picture()", "PICTURE"),
+        ("write_path_kernels", "page()", "PAGE"),
+    ],
+)
+def test_what_a_program_writes_is_of_this_source(program: str, made: str, kept: str) -> None:
+    compare = f"import {program} as d; print(d.{made} == d.{kept}.read_text())"
+    command = [sys.executable, "-c", compare]
+    done = subprocess.run(command, cwd=ROOT / "docs", capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "True", f"run: python docs/{program}.py"
 
 
 def stated(text: str) -> list[tuple[str, str, str]]:

@@ -75,8 +75,8 @@ class Interest:
     - ``target``, ``enough``: the relative error, or else the samples, at which texels need no more.
     - ``priority``: squared visible error of the light, over the paths taken.
     - ``view``, ``asked``: the number of the view that asked last, the newest being the highest, and
-      the time.
-    - ``since``: time of the first request.
+      the time, in seconds of the queue's clock.
+    - ``since``: time of the first request, by the same clock.
     - ``ticket``: marks the current place in the client's queue.
     """
 
@@ -92,8 +92,8 @@ class Interest:
     ticket: int = 0
 
     def covers(self, offsets: np.ndarray, target: float, enough: int) -> bool:
-        """Return True if this interest includes the texels
-        at ``offsets`` until a ``target`` or ``enough`` samples.
+        """Return True if this interest includes the texels at ``offsets`` (m,) int32, ascending, at
+        a relative error of ``target`` or a stricter one, and at ``enough`` samples or more.
         """
         return self.target <= target and self.enough >= enough and contained(offsets, self.offsets)
 
@@ -141,6 +141,10 @@ class BakeRequest:
       that.
     - ``begun``: True once a first few texels have light; see ``first_texels``.
     - ``bits``: the chunk has 1 << ``bits`` texels a side; see ``Demand``.
+    - ``_merged``, ``_stale``: the interests as one when they were last merged, and True if they
+      have changed since.
+    - ``_known``: True if ``effort`` is the result of the last task, and counts all texels that are
+      wanted.
     """
 
     key: Key
@@ -265,10 +269,20 @@ class BakeRequest:
         now: float,
         enough: int = MAX_SAMPLES,
     ) -> None:
-        """Add the demand of the newest ``view`` of a ``viewer``, at the time ``now``."""
+        """Add the ``demand`` of the newest view of a ``viewer``.
+
+        - ``target``, ``enough``: the relative error, or else the samples, at which a texel needs no
+          more.
+        - ``view``: the number of the view, higher than that of any view before.
+        - ``now``: the time of the request, in seconds of the queue's clock.
+
+        A client has one interest in a chunk: the demand is merged into it, or replaces it if the
+        viewer is single.
+        """
         older = self.interests.get(viewer.client)
-        # The frame may have been drawn before the last task ended. If it asks for nothing more,
-        # that task knows better how much work is left.
+        # The demand's effort may be out of date, as its frame may have been drawn before the last
+        # task ended. If the frame asks for nothing that the older one did not, keep the effort that
+        # the task has returned.
         known = self._known and older is not None and older.covers(demand.offsets, target, enough)
         since = now if older is None else older.since
         seen = demand.offsets, demand.footprints, target, priority_of(demand)
@@ -289,8 +303,10 @@ class BakeRequest:
         self._stale = True
 
     def exceeds(self, offsets: np.ndarray, target: float, enough: int) -> bool:
-        """Return True if more is wanted than the texels
-        at ``offsets`` until ``target`` or ``enough`` samples.
+        """Return True if the clients want any texel that is not at ``offsets``, or a stricter
+        relative error than ``target``, or more samples than ``enough``.
+
+        ``offsets`` (m,) int32 must be ascending.
         """
         return exceeds(self._merge(), offsets, target, enough)
 
@@ -373,8 +389,10 @@ def merged(interests: Collection[Interest]) -> MergedInterest:
 
 
 def exceeds(wanted: MergedInterest, offsets: np.ndarray, target: float, enough: int) -> bool:
-    """Return True if more is ``wanted`` than the texels
-    at ``offsets`` until ``target`` or ``enough`` samples.
+    """Return True if any texel is ``wanted`` that is not at ``offsets``, or a stricter relative
+    error than ``target``, or more samples than ``enough``.
+
+    ``offsets`` (m,) int32 must be ascending.
     """
     return (
         wanted.target < target or wanted.enough > enough or not contained(wanted.offsets, offsets)

@@ -171,6 +171,7 @@ class Baker:
         self._duplicate = self._healed = self._kept = 0
         self.paths = 0
         self._seconds = 0.0
+        # Time at which workers last began to leave cores free for a view that moves.
         self._way = -CLEAR_CORES_SECONDS
         self._pause = Pause(clock, self.stir)
         self._changed = threading.Condition()
@@ -205,8 +206,11 @@ class Baker:
             self._feed()
 
     def prepare(self, scene: str | None = None) -> None:
-        """Have every worker open a scene, by default the first one,
-        before a view asks for its light.
+        """Have every worker open a ``scene``, by default the first one, before a view asks for its
+        light. Does not wait for that.
+
+        Nothing is done without a pool, or if there is no such scene. A worker that fails to open it
+        reports no error: it opens the scene again with its first task.
         """
         pool = self._pool
         bake = self._bakes.get(scene or next(iter(self._bakes), ""))
@@ -323,7 +327,7 @@ class Baker:
             # Sum up the processor seconds of open requests and of later stages.
             work = [Work(each.key[1], each.effort, each.target, each.enough) for each in open_now]
             work += [
-                Work(each.index, each.effort, stage.target, stage.enough)
+                Work(each.index, each.effort, *stage.goal)
                 for stage in later
                 for each in stage.demands
             ]
@@ -413,7 +417,11 @@ class Baker:
             return self._queue.wanted(name)
 
     def _met(self, name: str, index: Index) -> None:
-        """Have a chunk read again that another writer has added light to."""
+        """Have views read the chunk ``index`` of the bake ``name`` again, as the writer has found
+        that another process has added light to it.
+
+        Listeners are told that no more of the chunk will be baked, even if it has open requests.
+        """
         bake = self._bakes.get(name)
         if bake is not None:
             bake.arrived(index)
@@ -444,7 +452,10 @@ class Baker:
         self._pace.working(min(self._in_flight, self.workers))
 
     def _room(self, pool: "WorkerPool") -> int:
-        """Return the number of tasks that may be in flight now."""
+        """Return the number of tasks that may be in flight now.
+
+        It is at most ``pool.room``, which is 0 while the workers cannot be reached.
+        """
         # While the store takes no light, more of it would only fill memory.
         if self._writer is not None and self._writer.reason:
             return 0
@@ -452,12 +463,9 @@ class Baker:
         if self._pause.reason:
             return min(int(self._pause.over), pool.room)
         # While a view moves, half of the workers have one task each.
-        return min(
-            max(pool.workers // 2, 1)
-            if self._clock() - self._way < CLEAR_CORES_SECONDS
-            else pool.room,
-            pool.room,
-        )
+        if self._clock() - self._way < CLEAR_CORES_SECONDS:
+            return min(max(pool.workers // 2, 1), pool.room)
+        return pool.room
 
     def _submit(self, pool: "WorkerPool", requests: Sequence[BakeRequest]) -> None:
         """Hand over requests of one bake as one task of the pool."""
@@ -581,10 +589,14 @@ class Baker:
             listener(scene, index, more)
 
     def _fail(self, key: Key, error: BaseException | None) -> None:
-        """Log a failure of a task, and have the queue try again or give up."""
+        """Log that the task of a chunk has failed with an ``error``, and have the queue try it
+        again, or give it up after several failures. The caller must hold the lock.
+        """
         scene, index = key
         self._failed_tasks += 1
         log.warning("baking chunk %s of %s failed: %s", index, scene, error)
+        # If a worker died with the task, the queue hands the chunk out alone the next time, as its
+        # task may kill workers.
         lost = isinstance(error, LostWorkerError)
         if self._queue.fail(key, f"Chunk {index} of {scene} cannot be baked: {error}", lost):
             log.error("chunk %s of %s is given up for a while", index, scene)

@@ -119,20 +119,26 @@ class DaskPool:
     here = False
 
     def __init__(self, scheduler: str) -> None:
-        """Join the ``scheduler`` by its address.
+        """Join the ``scheduler`` by its address, such as ``tcp://host:8786``.
 
-        Raises WorkersError, and WorkersAwayError if it cannot be reached.
+        Raises WorkersAwayError if it does not answer within 30 seconds, and WorkersError if joining
+        fails for another reason.
         """
         self._scheduler = scheduler
+        # The addresses of the present workers, the id of the scheduler that was joined, by which a
+        # restarted one is recognised, and the number of workers that were lost.
         self._addresses: frozenset[str] = frozenset()
         self._joined = ""
         self._deaths = 0
+        # Called when workers have come or gone; ``attend`` sets it.
         self._stir: Callable[[], None] = lambda: None
+        # The first wakes the pool's thread when workers come or go; the second ends it.
         self._moved = threading.Event()
         self._closing = threading.Event()
         # Tasks in flight by Dask's key, and those that had ended at the last check.
         self._open: dict[Any, tuple[Future[Any], Done]] = {}
         self._ended: set[Any] = set()
+        # Connect, which lists the workers; then start the thread that keeps track of them.
         try:
             with dask.config.set(SETTINGS):
                 self._client = self._connect("30s")

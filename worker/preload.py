@@ -14,9 +14,10 @@ from worker.tasks import OPENING_KERNELS, PLAIN_LAYER_KINDS, attempt, bake_kerne
 
 
 def load_what_is_stored() -> None:
-    """Load the kernels of bakes that are compiled.
+    """Load the kernels that open a scene and those that bake plain layers, as far as this machine
+    has stored their compiled code.
 
-    The others are left to the workers, which report that they compile.
+    The others are left to the workers, which compile them while the server tells users of it.
     """
     load(
         [

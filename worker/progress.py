@@ -171,8 +171,10 @@ class TimeEstimator:
         clock: Callable[[], float] = time.monotonic,
         prior: tuple[float, ...] = ASSUMED_WORK_RATIOS,
     ) -> None:
-        """Begin without estimates;
-        ``prior`` are assumed ratios of true to estimated times, ascending.
+        """Begin without estimates.
+
+        ``clock`` returns seconds. ``prior`` are two or more assumed ratios of true to estimated
+        work, which always count along with the measured ones.
         """
         self._clock = clock
         self._prior = prior
@@ -238,7 +240,9 @@ class TimeEstimator:
 
 
 RAISING = 2.0
-"""An estimate replaces a reported time early if it is this many times as long."""
+"""An estimate replaces a reported time early if it is this many times as long as the rest of that
+time.
+"""
 
 
 class Promise:
@@ -246,7 +250,8 @@ class Promise:
     clock runs.
 
     A shorter estimate replaces the reported time. A longer one does so when the reported time is
-    over, or immediately if it is RAISING times as long; the work is then overdue. If the reported
+    over, or immediately if it is more than RAISING times as long as the rest of the reported time,
+    and longer than that time was when it was reported; the work is then overdue. If the reported
     time is over and no estimate is longer, it doubles. Several threads must use it under one lock.
     """
 
@@ -269,7 +274,11 @@ class Promise:
         return self._told.after(self._clock() - self._at, self._end - self._at)
 
     def kept(self, left: TimeLeft) -> TimeLeft:
-        """Return the time to report, by a new estimate ``left``."""
+        """Return the time to report now, given a new estimate ``left`` of the time left.
+
+        The first report is the estimate itself, and so is one after ``forget`` seconds without an
+        estimate. For all others see ``Promise``.
+        """
         asked = self._asked
         self._asked = self._clock()
         reported = self._told
@@ -280,8 +289,9 @@ class Promise:
         if self._asked >= self._end or left.likely > max(RAISING * due.likely, reported.likely):
             longer = left.scaled_to(max(left.likely, due.likely))
             return self._report(replace(longer, overdue=True), left.likely, math.inf)
-        # Shorten the reported time in proportion to the estimates. Not if the work is overdue:
-        # estimates that were too short saw only a part of it, so follow the clock.
+        # Shorten the reported time in proportion to the estimates, if that is less than the clock
+        # leaves of it. Not if the work is overdue: estimates that were too short saw only a part of
+        # it, so follow the clock.
         if not reported.overdue and self._estimate > 0.0:
             likely = reported.likely * left.likely / self._estimate
             if likely < due.likely:
@@ -383,9 +393,9 @@ def work_seconds(work: Sequence[Work], costs: Costs) -> list[float] | None:
     of a bake; None if unknown.
 
     The work at hand comes first in ``work``; later stages follow, with targets of their own. A
-    texel without light is taken to need its ``expected`` samples. If these are unknown, it is taken
-    to need as many paths as other texels of the bake took or will take, more if its target is
-    stricter, but no more than its target allows.
+    texel without light is taken to need its ``expected`` samples (see ``Effort``), a path each. If
+    these are unknown, it is taken to need as many paths as other texels of the bake took or will
+    take, more if its target is stricter, but no more than its target allows.
     """
     # Mean paths per texel of the bake, those taken and those left to the same target, and mean
     # seconds of its first light.
@@ -401,12 +411,16 @@ def work_seconds(work: Sequence[Work], costs: Costs) -> list[float] | None:
     def _paths(each: Work) -> float:
         """Return the paths that a piece of work will take, except those of first light, whose
         seconds are in ``first``.
+
+        They are the ``left`` paths of texels that have light, and those that texels without light
+        take after their first light.
         """
         unlit = each.effort.unlit
         # Paths grow with 1 / error^RATE, so a later stage of half the target takes 2^RATE times as
         # many.
         stricter = (work[0].target / each.target) ** RATE
-        # Expected samples are those of all unlit texels of the chunk, first light included.
+        # Expected samples are the sum over all unlit texels of the chunk. They include first light,
+        # FIRST_LEVEL paths a texel, which must not count here.
         if unlit and each.effort.expected:
             return each.effort.left + each.effort.expected - FIRST_LEVEL * unlit
         return each.effort.left + paths_after_first(stricter * usual, each) * unlit

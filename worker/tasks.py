@@ -434,7 +434,7 @@ def bake_all(tasks: Sequence[BakeTask]) -> list[Outcome]:
 
 
 def outcome_of(task: BakeTask) -> Outcome:
-    """Return the outcome of a task that is done alone."""
+    """Do a task alone; return its result, or the error that it raised."""
     try:
         return bake(task)
     except Exception as error:
@@ -489,9 +489,15 @@ class Work:
 
     @classmethod
     def begin(cls, task: BakeTask, chunk_store: ChunkStore) -> Self:
-        """Read the chunk of a task, unless its light has come with the task."""
+        """Begin a task: read its chunk from the store, unless the server has sent the light along.
+
+        Texels of the task that the chunk lacks are added without light. Raises StoreError.
+        """
+        # The store counts damaged objects: if the count grows, this chunk has one.
         damaged = chunk_store.damaged
         chunk = (task.light or chunk_store.load(task.index)).with_texels(task.offsets)
+        # Copy the samples before void texels are made so in all layers: ``end`` then finds that the
+        # layers to which this adds void texels have changed, and must be written.
         known = [part.samples.copy() for part in chunk.light.parts]
         chunk.light.agree_on_void()
         rows = chunk.rows_of(task.offsets)

@@ -126,7 +126,12 @@ class LightWriter:
         return sum(len(kept.light.unwritten()) for kept in list(self._kept.values()))
 
     def _write(self, kept: Kept, due: Iterable[Fresh]) -> None:
-        """Have ``due`` chunks of a bake written, except those that are being written already."""
+        """Hand over tasks that write the ``due`` chunks of a bake, except those that are being
+        written already.
+
+        Does not wait for them: ``_end`` is called with the outcome of each task, from another
+        thread.
+        """
         like = kept.like
         with self._changed:
             free = [each for each in due if (like.digest, each.chunk.index) not in self._writing]
@@ -134,7 +139,8 @@ class LightWriter:
         # A write task describes its bake as the bake's last task did, so that a worker that has
         # this bake open need not open it again.
         place = (like.source, like.plan, like.digest, like.store_url, like.assets, like.shown)
-        # A chunk that has failed goes alone, so that it harms no other.
+        # A chunk that could not be written before gets a task of its own, so that it does not make
+        # the writing of others fail.
         failed = [each for each in free if (like.digest, each.chunk.index) in self._failures]
         rest = [each for each in free if each not in failed]
         groups = [[each] for each in failed]

@@ -77,7 +77,7 @@ def measure(bench: Bench) -> dict[str, float]:
         "told at first": told.likely,
         "told": last.total.likely,
         "final": float(last.final),
-        "own light": last.quality.own / max(last.surface, 1),
+        "own light": last.traced_pixels / max(last.surface, 1),
         "bake, s": bake,
         "first step, s": first.processor,
         "first step / bake": first.processor / bake,

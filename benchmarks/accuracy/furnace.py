@@ -124,7 +124,7 @@ def row_of(name: str, pixels: Pixels, frame: Frame) -> tuple[str, ...]:
         f"{pixels.darkest:.3f}",
         f"{pixels.brightest:.3f}",
         f"{100 * frame.total.likely:.2f}",
-        f"{frame.quality.own / max(frame.surface, 1):.0%}",
+        f"{frame.traced_pixels / max(frame.surface, 1):.0%}",
         f"{pixels.dark:.1%}",
         f"{pixels.off:.3f}",
     )

@@ -26,6 +26,7 @@ from benchmarks.accuracy.totals import PLACES
 from benchmarks.common.measurement import Measurement, markdown
 from benchmarks.common.scenes import LIGHTS, shared_data
 from benchmarks.common.suite import part
+from isogi_core.bake.noise import Goal
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.files.scene_file import SceneSource
 from isogi_core.frame.frame import Frame
@@ -34,6 +35,7 @@ from isogi_core.frame.rays.control_pixels import ControlPixels
 from isogi_core.frame.rays.point_paths import HALVES
 from isogi_core.frame.rays.through_matter import BREADTH, SeenThrough, Trees, dark_row
 from isogi_core.frame.renderer import Renderer
+from isogi_core.frame.shot import Shot
 from isogi_core.frame.tiles import Tiles
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import build_scene, load_scene
@@ -188,12 +190,13 @@ def true_halves(renderer: Renderer, view: View, trees: int) -> np.ndarray:
     """The luminance of each surface point by two halves of so many trees each; (m, HALVES)."""
     light = RotatedLight(renderer.caches.spec("gi"), view)
     gbuffer = renderer.gbuffer(view)
+    shot = Shot(gbuffer, light, Goal(0.0), renderer.tiles)
     sums = np.zeros((len(gbuffer.pixels), HALVES))
     for first in range(0, trees, TOGETHER):
         some = Trees(
             BREADTH, range(OTHERS, OTHERS + HALVES), range(first, min(first + TOGETHER, trees))
         )
-        found, _ = SeenThrough.of(gbuffer, light, some, renderer.tiles).gather(dark_row(0))
+        found, _ = SeenThrough.of(shot, some).gather(dark_row(0))
         sums += luminance_of(found).reshape(len(sums), HALVES, -1).sum(axis=2)
     return np.asarray(sums / trees)
 

@@ -315,7 +315,7 @@ def measure(
         final=last.final,
         true=after.rmse,
         p99=after.p99,
-        own=last.quality.own / max(last.surface, 1),
+        own=last.traced_pixels / max(last.surface, 1),
         bake=bake.seconds,
         samples=bake.samples,
         seconds=sum(spent),

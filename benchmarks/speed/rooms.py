@@ -26,6 +26,7 @@ from benchmarks.common.measurement import Measurement
 from benchmarks.common.scenes import documented_scene, shared_data
 from benchmarks.common.suite import part
 from benchmarks.common.timing import milliseconds
+from isogi_core.bake.noise import Goal
 from isogi_core.files.scene_file import SceneSource
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.rays.picture_plan import PRESENT
@@ -119,7 +120,7 @@ def lit(scene: Scene, store: str, size: int) -> Renderer:
     bake_view(renderer, view, MIN_SAMPLES)
     frame = renderer.render(view, LOOSEST_TARGET)
     while frame.quality.waiting and renderer.refine_frame(
-        frame, LOOSEST_TARGET, renderer.tiles, PRESENT
+        frame, Goal(LOOSEST_TARGET), renderer.tiles, PRESENT
     ):
         frame = renderer.render(view, LOOSEST_TARGET)
     return renderer

@@ -137,13 +137,13 @@ def finished(light: Light, spec: BakeSpec, target: float, enough: int = MAX_SAMP
     return light.void | good_enough(relative_error(light, spec), light.samples, target, enough)
 
 
-class Until(NamedTuple):
-    """When texels need no more samples: at the ``target`` error of pictures, or once they have
-    ``enough`` samples.
+class Goal(NamedTuple):
+    """The relative ``error`` that a picture is to reach, and the ``samples`` after which its texels
+    need no more, even if they have a larger error each.
     """
 
-    target: float
-    enough: int = MAX_SAMPLES
+    error: float
+    samples: int = MAX_SAMPLES
 
 
 def good_enough(

@@ -140,10 +140,16 @@ def record_fields(records: np.ndarray, layer: Layer, texels: int) -> np.ndarray:
 
 
 def planes_of(found: np.ndarray, layer: Layer) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the light of NumPy records as three arrays: bits of half floats, single floats, and
-    codes.
+    """Return the light of the NumPy records ``found`` (k,) as three arrays.
 
-    The kernel takes both kinds of floats; the one that the layer does not use is empty.
+    - The coefficients of lower bands that are half floats, as their bits: (k, channels, floats,
+      texels) uint16.
+    - Those that are single floats: the same shape, float32.
+    - The codes of the coefficients of higher bands: (k, channels, coefficients - floats, texels)
+      uint8.
+
+    The kernel has an argument for each kind of float. The layer uses one kind; the array of the
+    other has no entries.
     """
     light = found["light"]
     none = found["light"][:, :, :0]

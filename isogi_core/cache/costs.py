@@ -108,10 +108,12 @@ class Costs:
 
     @property
     def _common_rate(self) -> float | None:
-        """The median rate of all chunks.
+        """The median rate of all chunks, in processor seconds per path. The caller must hold the
+        lock.
 
-        Before any chunk has a rate, the lowest seconds per path of first light, None without any:
-        these include work that is done once a texel, so the lowest is nearest to a path's cost.
+        Before any chunk has a rate, all paths were of first light. Then it is the lowest number of
+        seconds per path of any task, None before the first task. The seconds of first light include
+        work that is done once a texel, so the lowest number is nearest to the cost of a path.
         """
         # Counted from either end, this is the middle: one rate, or two if their number is even.
         middle = len(self._rates) // 2
@@ -136,9 +138,11 @@ class Costs:
             self._fastest = min(cost.seconds / cost.paths, self._fastest or math.inf)
 
     def read(self) -> None:
-        """Add the costs in the store.
+        """Add the costs in the store to those in memory. Call it once, as a second call would count
+        them twice.
 
-        Missing or damaged costs count as unknown; the latter are logged.
+        Nothing is added if there are no costs in the store, or if they are damaged or cannot be
+        read. The last two are logged; no error is raised.
         """
         try:
             found = self._store.get(self._key)

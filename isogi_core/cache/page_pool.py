@@ -107,13 +107,15 @@ class PagePool:
     """
 
     def __init__(self, spec: BakeSpec, budget: int) -> None:
-        """Allocate the arrays that frames of ``spec`` read.
+        """Allocate the arrays that frames of ``spec`` read, in ``budget`` bytes.
 
         The system gives memory as they fill.
         """
         texels = spec.prepared.lattice.texels
-        # A page costs its rows and its part of the table. A small budget has more table than that,
-        # as the table has FEWEST_CHUNKS slots at least: take these off first then.
+        # A page costs the bytes of its rows and of its part of the indirection table, which has 4
+        # bytes for each texel of a slot. The table has FEWEST_CHUNKS slots at least. With a small
+        # budget these are more than the parts of all pages together: then take off the bytes of the
+        # least table, and divide the rest among the rows of pages.
         least_table = FEWEST_CHUNKS * 4 * texels
         with_table = budget // page_bytes(spec)
         rows_alone = (budget - least_table) // (PAGE_TEXELS * row_bytes(spec))
@@ -126,6 +128,8 @@ class PagePool:
         self.table = np.empty((slots, texels), np.int32)
         self._free_pages = Numbers(pages)
         self._free_slots = Numbers(slots)
+        # The chunks in the pool, the longest unused first; the versions by slot, computed when they
+        # are asked for; and the number of insertions so far.
         self._entries: OrderedDict[Index, Entry] = OrderedDict()
         self._versions: dict[int, bytes] = {}
         self._age = 0
@@ -165,10 +169,12 @@ class PagePool:
         with self._lock:
             self._age += 1
             # New light goes to other pages than the old: frames that hold the chunk read on from
-            # the old ones.
+            # the old ones. Each chunk takes whole pages, so round up. Chunks that are replaced may
+            # be dropped for the new light, even if they are in ``keep``.
             entries = self._allocate(-(-counts // PAGE_TEXELS), {*keep} - {*chunks.indices})
             rows = rows_in([entry.pages for entry in entries], counts)
             slots = np.array([entry.slot for entry in entries], np.int32)
+            # Forget the versions of the chunks that had these slots before.
             for slot in slots.tolist():
                 self._versions.pop(slot, None)
             # Texels that the chunk lacks are not baked; the others find their rows.
@@ -325,16 +331,19 @@ def row_bytes(spec: BakeSpec) -> int:
 
 
 def rows_in(pages: Sequence[np.ndarray], counts: np.ndarray) -> np.ndarray:
-    """Return the rows of the texels of chunks, (texels,) int32:
-    a chunk with ``counts[i]`` texels fills its ``pages[i]`` in order.
+    """Return the rows of the texels of chunks, chunk by chunk, (texels,) int32.
+
+    ``pages[i]``, of any length, int32, are the numbers of a chunk's pages, in the order in which
+    its ``counts[i]`` texels fill them. Page k has the PAGE_TEXELS rows from k · PAGE_TEXELS on.
     """
-    each = [
-        (first[:, None] * PAGE_TEXELS + np.arange(PAGE_TEXELS, dtype=np.int32)).ravel()
-        for first in pages
+    # All rows of the pages of each chunk; its last page may have more than it has texels.
+    rows_of_chunks = [
+        (numbers[:, None] * PAGE_TEXELS + np.arange(PAGE_TEXELS, dtype=np.int32)).ravel()
+        for numbers in pages
     ]
-    return np.concatenate(
-        [np.empty(0, np.int32), *(rows[:count] for rows, count in zip(each, counts, strict=True))]
-    )
+    used = [rows[:count] for rows, count in zip(rows_of_chunks, counts, strict=True)]
+    # The empty array gives the result its type if there are no chunks.
+    return np.concatenate([np.empty(0, np.int32), *used])
 
 
 MAX_SAMPLE_LEVELS = 32

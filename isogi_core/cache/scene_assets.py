@@ -223,16 +223,18 @@ def send_colours(colours: SurfaceColours, store: Store) -> str:
 
 
 def receive_colours(assets: SceneAssets, store: Store) -> SurfaceColours | None:
-    """Read the colours among a scene's assets; None if it has none.
+    """Read the colours of a surface from the ``store``, as ``send_colours`` has written them; None
+    if the scene has none.
 
     Raises StoreError if they are missing or damaged.
     """
     if not assets.colours:
         return None
     asset = Asset(store, f"colours/{assets.colours}")
-    facts = asset.describe()[3]
-    # Read the colours' positions on the colour scale, then build the scale from its facts.
+    _, _, _, facts = asset.describe()
+    # Read the codes of the colours, (nz, ny, nx) or (nz, ny, nx, 3) uint8: see ``SurfaceColours``.
     places = np.concatenate(list(asset.slabs()))
+    # Build the colour scale from the facts; JSON has made lists of its tuples.
     scale = facts["scale"]
     pairs = {key: tuple(scale[key]) for key in ("span", "outside")}
     labels = tuple(
@@ -340,9 +342,12 @@ def unpack(asset: Asset, draft: Draft, digest: str) -> dict[str, Any]:
 
 
 def fetch_file(digest: str, name: str, store: Store) -> Path:
-    """Return the path of this machine's copy of a file, which is fetched if there is none.
+    """Return the path of this machine's copy of a light's file, which is fetched from the ``store``
+    if there is none.
 
-    Raises StoreError.
+    The file is in the store under its ``digest``; the path ends in ``name``, its name in the scene.
+    Raises StoreError if the file is missing or damaged in the store, and VolumeError if the copy
+    cannot be written.
     """
 
     def fetch() -> bytes:

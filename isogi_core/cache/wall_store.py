@@ -166,8 +166,11 @@ class WallStore:
             log.info("Light of walls is not kept: %s", error)
 
     def around(self, state: WallState) -> tuple[WallState, WallState] | None:
-        """Return the states at the nearest isovalues below and above that have light;
-        None if one side has none.
+        """Return the ``state`` at two isovalues that have light: the highest one below the
+        isovalue of ``state``, and the lowest one that is not below it.
+
+        Return None if there is no such isovalue on one side, or if the note of isovalues cannot be
+        read, which is logged.
         """
         try:
             known = self._isovalues(state)

@@ -5,6 +5,7 @@ frame.
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
+from isogi_core.frame.features import FEATURES, SHINE, features_of
 from isogi_core.frame.view_texels import carries_irradiance_ratios
 from isogi_core.kernels.shading.chunks import (
     add_footprints,
@@ -35,8 +36,8 @@ from isogi_core.kernels.shading.lobes import (
 )
 from isogi_core.kernels.shading.local_models import find_normals, find_shadows, shade_local
 from isogi_core.kernels.shading.shadow_points import prepare_points, sort_by_turn
-from isogi_core.kernels.shading.shine import cast_shine, fill_below, filter_shine, light_ends
-from isogi_core.kernels.shading.surface_points import mean_around, pool_noise
+from isogi_core.kernels.shading.shine import light_ends
+from isogi_core.kernels.shading.surface_points import mean_around
 from isogi_core.kernels.shading.texel_normals import (
     fill_texel_normals,
     keep_normals,
@@ -52,17 +53,14 @@ from isogi_core.kernels.tracing.active_cells import (
 )
 from isogi_core.kernels.tracing.camera import read_values, trace_pixels, trace_places
 from isogi_core.kernels.tracing.extents import fill_row_ends
-from isogi_core.kernels.tracing.glow import Glows, gather_from_eye
+from isogi_core.kernels.tracing.glow import Glows
 from isogi_core.kernels.tracing.macrocells import fill_macrocells
 from isogi_core.kernels.tracing.peels import peel_rays
 from isogi_core.kernels.tracing.stiffness import count_stiffness
-from isogi_core.kernels.transport.colours import fill_albedos
 from isogi_core.kernels.transport.entries import path_kernels
 from isogi_core.kernels.transport.harmonics import rotate
 from isogi_core.kernels.transport.light_paths import Surroundings
 from isogi_core.kernels.transport.lights import project_lamps
-from isogi_core.kernels.transport.matter.sight import see_through
-from isogi_core.kernels.transport.microfacets import fill_energy
 from isogi_core.kernels.transport.room_paths import fill_seeds, light_in_room
 from isogi_core.kernels.transport.transfer import measure_distances
 from isogi_core.plan.left_out import uncalled
@@ -83,26 +81,6 @@ LOBES = (
     add_lobes,
 )
 """Kernels that only lights with lobes call."""
-
-ROOM = (light_walls,)
-"""Kernels that only scenes with walls call."""
-
-COLOURED = (fill_albedos,)
-"""Kernels that only scenes with colours by data call; their paths are those of a room."""
-
-AMONG = (peel_rays,)
-"""Kernels that only scenes with several surfaces call; these call neither ``trace_pixels`` nor
-``trace_places``.
-"""
-
-SHINE_KERNELS = (cast_shine, fill_below, fill_energy, pool_noise, filter_shine)
-"""Kernels that only scenes with shine call; ``light_ends`` is called if lights have lobes, too."""
-
-GLOW = (gather_from_eye,)
-"""Kernels that only scenes with glow call."""
-
-MATTER = (see_through, pool_noise)
-"""Kernels that only scenes of glass call."""
 
 FRAME = (
     LOBES[0],
@@ -153,29 +131,22 @@ take longest to compile come first.
 """
 
 KERNELS = tuple(
-    dict.fromkeys((*ROOM, *COLOURED, *GLOW, *MATTER, *AMONG, *SHINE_KERNELS, light_ends, *FRAME))
+    dict.fromkeys((*(kernel for each in FEATURES for kernel in each.kernels), light_ends, *FRAME))
 )
-"""All kernels of frames without those of whole paths; those that take longest to compile come
-first.
+"""All kernels of frames without those of whole paths: those of features, and then those of plain
+scenes; of the latter those that take longest to compile come first.
 """
 
 CALLED_IF: Mapping[Any, Callable[[Scene, bool], bool]] = {
     **dict.fromkeys((trace_pixels, trace_places), lambda scene, _: not scene.surfaces.several),
-    **dict.fromkeys(ROOM, lambda scene, _: scene.lighting.room.any),
-    **dict.fromkeys(COLOURED, lambda scene, _: bool(scene.surfaces.colours)),
-    **dict.fromkeys(GLOW, lambda scene, _: scene.lighting.glowing.any),
-    **dict.fromkeys(MATTER, lambda scene, _: scene.surfaces.material.refracts),
-    **dict.fromkeys(AMONG, lambda scene, _: scene.surfaces.several),
-    **dict.fromkeys(SHINE_KERNELS, lambda scene, _: bool(scene.surfaces.shine)),
-    light_ends: lambda scene, _: bool(scene.surfaces.shine) and scene.plan.lobes > 0,
-    pool_noise: lambda scene, _: bool(scene.surfaces.shine) or scene.surfaces.material.refracts,
+    light_ends: lambda scene, _: SHINE.present(scene) and scene.plan.lobes > 0,
     count_stiffness: lambda scene, _: scene.settings.projected is None,
     measure_distances: lambda _, projects: projects,
     carry_ratios: lambda scene, projects: projects or carries_irradiance_ratios(scene, "gi", False),
     carry_light: lambda scene, _: not carries_irradiance_ratios(scene, "gi", False),
 }
-"""Conditions under which frames of a scene call a kernel: functions of the scene, and of a truth,
-True if it projects texels. See also ``uncalled``.
+"""Conditions under which frames of a scene call a kernel that is not of a feature alone: functions
+of the scene, and of a truth, True if it projects texels. See also ``uncalled``.
 """
 
 OTHER_KERNELS = (
@@ -229,8 +200,12 @@ def called_by(scene: Scene, surveyed: bool) -> set[Any]:
     """
     lighting = scene.lighting
     projects = not surveyed or scene.projection.any
+    # Leave out the kernels of features that the scene does not have, and those that its lights do
+    # not need.
+    needed = {kernel for feature in features_of(scene) for kernel in feature.kernels}
+    absent = {kernel for feature in FEATURES for kernel in feature.kernels} - needed
     names = uncalled(lighting.rotating, lighting.environment, lighting.lamps, scene.plan.lobes)
-    rest = (kernel for kernel in KERNELS if kernel.__name__ not in names)
+    rest = (each for each in KERNELS if each not in absent and each.__name__ not in names)
     return {
         kernel for kernel in rest if kernel not in CALLED_IF or CALLED_IF[kernel](scene, projects)
     }
@@ -254,9 +229,5 @@ def paths_of(scene: Scene) -> tuple[Any, ...]:
 
 
 def only_checked(scene: Scene) -> bool:
-    """Return True if frames of a ``scene`` trace paths only when they are checked: there are no
-    walls, and no rays that choose by chance.
-    """
-    return not (
-        scene.lighting.room.any or scene.surfaces.several or scene.surfaces.material.refracts
-    )
+    """Return True if frames of a ``scene`` trace paths only when they are checked."""
+    return not any(feature.traces_paths for feature in features_of(scene))

@@ -93,8 +93,8 @@ class EdgeSamples:
 
 @dataclass(frozen=True, eq=False)
 class Quality:
-    """The quality of a frame of one surface: the states of all its refinements, and the error that
-    is expected or measured.
+    """The quality of a frame: the states of all its refinements, and the error that is expected.
+    Data alone: a ``Frame`` answers what follows from it.
 
     - ``lacking``: light that its texels still lack; None if the frame reads no texels.
     - ``chunks``: number of chunks that the frame reads, and how many of these are final.
@@ -119,49 +119,9 @@ class Quality:
     finer: "Frame | None" = None
 
     @property
-    def target(self) -> float | None:
-        """The total error that control pixels must show before the frame is final; None if they
-        do not check it.
-        """
-        return self.known.target if self.known else None
-
-    @property
     def enough(self) -> int:
         """The samples that texels are to have; 0 if control pixels do not check the frame."""
         return self.known.enough if self.known else 0
-
-    @property
-    def given_up(self) -> bool:
-        """True if the check ended although the error is above the target."""
-        return self.known is not None and self.known.ended
-
-    @property
-    def outdated(self) -> bool:
-        """True if the controls were drawn when texels were to have fewer samples."""
-        return self.known is not None and self.known.outdated
-
-    @property
-    def own(self) -> int:
-        """The number of pixels that have light of their own."""
-        if self.known:
-            return len(self.known.own.places)
-        return 0
-
-    @cached_property
-    def demands(self) -> tuple[Demand, ...]:
-        """The light of texels on their own isosurfaces that is not final, chunk by chunk, as if
-        no texel were projected.
-        """
-        if self.lacking:
-            return self.lacking.demands
-        return ()
-
-    @property
-    def stages(self) -> tuple[Stage, ...]:
-        """All light that must be baked until the picture is final, stage after stage."""
-        if self.lacking:
-            return self.lacking.stages
-        return ()
 
     @property
     def dark(self) -> frozenset[Index]:
@@ -171,100 +131,6 @@ class Quality:
         if self.lacking:
             return self.lacking.dark
         return frozenset()
-
-    def layers(self, frame: "Frame") -> Iterator[Layer]:
-        """Yield the surface, the walls and the faces of a window in a ``frame``; see
-        ``Frame.layers``.
-        """
-        for each in (frame.gbuffer, frame.gbuffer.walls, frame.gbuffer.faces):
-            yield each.pixels, each.points, 1.0
-
-    def checkable(self, frame: "Frame") -> bool:
-        """Return True if a step of a check can improve the ``frame`` now; see
-        ``Frame.checkable``.
-        """
-        # Walls that are not final are refined first, as soon as nothing but walls is left to wait
-        # for.
-        if self.waiting:
-            return frame.surface - frame.settled == self.waiting
-        return not (frame.provisional or frame.final or self.given_up)
-
-    def walls_lag(self, frame: "Frame") -> bool:
-        """Return True if walls need a step before the surface does; see ``Frame.walls_lag``."""
-        wrong = frame.squared_error
-        gbuffer = frame.gbuffer
-        return self.walls_coarse(frame) or (
-            self.waiting > 0 and wrong(gbuffer.walls.pixels) > wrong(gbuffer.pixels)
-        )
-
-    def walls_coarse(self, frame: "Frame") -> bool:
-        """Return True if the walls of the ``frame`` still show their first, coarse texels."""
-        return self.waiting > 0 and bool(
-            (frame.state.ravel()[frame.gbuffer.walls.pixels] <= PROVISIONAL).any()
-        )
-
-    def true_mean(self, frame: "Frame") -> float:
-        """Return the mean luminance of the surface, with the mean error that control pixels
-        find taken out; of everything that is shown if there is no surface.
-        """
-        # Walls, faces and glow have no control pixels: take the mean over the surface alone if they
-        # are in the picture.
-        if len(frame.gbuffer.pixels) and (frame.glow is not None or not frame.gbuffer.alone):
-            shown = float(frame.luminance(frame.gbuffer.pixels).mean())
-        else:
-            shown = frame.shown_mean
-        # Control pixels know how much too bright, or too dark, the surface is on the average.
-        if self.known and len(frame.controlled):
-            return self.known.controls.mean(frame.controlled, shown)
-        return shown
-
-    def measured(self, frame: "Frame") -> TotalError | None:
-        """Return the total error of the ``frame`` by its control pixels; None if it has none."""
-        if self.known is None or not len(frame.controlled):
-            return None
-        # Weights undo the uneven drawing of the controls, so that the mean is one over all points.
-        squares = self.known.controls.weights * self.known.controls.squares(frame.controlled)
-        found = measure_total(squares, frame.true_mean)
-        # The noise counts all light that is lacking or borrowed: it bounds no provisional picture.
-        if frame.provisional:
-            return found
-        return found.at_least(frame.noise)
-
-    def tail(self, frame: "Frame") -> TailError | None:
-        """Return the error that 99 % of the surface pixels stay below; None if the frame has no
-        control pixels.
-        """
-        if frame.measured is None or self.known is None:
-            return None
-        tail = tail_of(
-            self.known.controls, frame.controlled, self.known.uncertainty, frame.true_mean
-        )
-        return tail.within(frame.measured)
-
-    def total_error(self, frame: "Frame") -> np.ndarray:
-        """Return the relative error of each pixel, whatever its causes; (h, w) float32. See
-        ``Frame.total_error``.
-        """
-        if frame.view.shading != "gi":
-            return frame.error
-        error = frame.error.copy()
-        pixels = frame.gbuffer.pixels
-        # Besides its noise, a pixel has an error that the plan predicts or that control pixels have
-        # measured; the noise is part of the measured error, and is taken out of it.
-        if frame.measured is None or self.known is None:
-            other = np.float32(self.expected)
-        else:
-            errors = spread_errors(self.known.uncertainty, self.known.controls, frame.controlled)
-            other = np.sqrt(np.maximum(errors**2 - frame.pixel_noise**2, 0.0)) / np.maximum(
-                frame.luminance(pixels), 1e-30
-            )
-        # The causes are independent, so their squares add up. A provisional pixel counts as all
-        # wrong.
-        lit = frame.state.ravel()[pixels] > PROVISIONAL
-        error.ravel()[pixels] = np.where(
-            lit, np.minimum(np.hypot(error.ravel()[pixels], other), 1.0), 1.0
-        )
-        return error
 
 
 @dataclass(frozen=True, eq=False)
@@ -297,16 +163,44 @@ class Frame:
     glow: np.ndarray | None = None
 
     @property
+    def target(self) -> float | None:
+        """The total error that control pixels must show before the frame is final; None if they
+        do not check it.
+        """
+        return self.quality.known.target if self.quality.known else None
+
+    @property
+    def given_up(self) -> bool:
+        """True if the check ended although the error is above the target."""
+        return self.quality.known is not None and self.quality.known.ended
+
+    @property
+    def outdated(self) -> bool:
+        """True if the controls were drawn when texels were to have fewer samples."""
+        return self.quality.known is not None and self.quality.known.outdated
+
+    @property
+    def traced_pixels(self) -> int:
+        """The number of pixels that have light from paths of their own."""
+        if self.quality.known:
+            return len(self.quality.known.own.places)
+        return 0
+
+    @property
     def demands(self) -> tuple[Demand, ...]:
         """The light of texels on their own isosurfaces that is not final, chunk by chunk, as if
         no texel were projected.
         """
-        return self.quality.demands
+        if self.quality.lacking:
+            return self.quality.lacking.demands
+        return ()
 
     @property
     def stages(self) -> tuple[Stage, ...]:
         """All light that must be baked until the picture is final, stage after stage."""
-        return self.quality.stages
+        if self.quality.lacking:
+            return self.quality.lacking.stages
+        return ()
 
     @property
     def chunks_needed(self) -> int:
@@ -356,7 +250,8 @@ class Frame:
         """All that pixels show, layer by layer: each pixel is in a layer at most once. What the
         shares of a pixel leave of 1 comes from behind everything.
         """
-        return self.quality.layers(self)
+        for each in (self.gbuffer, self.gbuffer.walls, self.gbuffer.faces):
+            yield each.pixels, each.points, 1.0
 
     @cached_property
     def airy(self) -> np.ndarray | None:
@@ -441,27 +336,31 @@ class Frame:
         """True if control pixels show that the error is at the target and the tail within its
         limit; also if no control pixels check the picture.
         """
-        target = self.quality.target
+        target = self.target
         if target is None:
             return True
         # The upper end of the 95 % interval must be below the target, by controls of the texels as
         # they are now.
-        if self.measured is None or self.quality.outdated or self.measured.high > target:
+        if self.measured is None or self.outdated or self.measured.high > target:
             return False
         return self.tail is None or self.tail.likely <= TAIL * target
 
     @property
     def improving(self) -> bool:
         """True if the check of the picture goes on, so that any pixel may still change."""
-        ended = self.final or (self.quality.given_up and not self.provisional)
-        return self.quality.target is not None and not ended
+        ended = self.final or (self.given_up and not self.provisional)
+        return self.target is not None and not ended
 
     @property
     def checkable(self) -> bool:
         """True if a step of a check can improve the picture now: texels are final in the store,
         and walls or control pixels have still to bring it to its target.
         """
-        return self.quality.checkable(self)
+        # Walls that are not final are refined first, as soon as nothing but walls is left to wait
+        # for.
+        if self.quality.waiting:
+            return self.surface - self.settled == self.quality.waiting
+        return not (self.provisional or self.final or self.given_up)
 
     @property
     def refinable(self) -> bool:
@@ -494,7 +393,16 @@ class Frame:
         The first fine texels of walls are cheap; later steps go where the error of the picture is
         largest.
         """
-        return self.quality.walls_lag(self)
+        if self.walls_coarse or not self.quality.waiting:
+            return self.walls_coarse
+        of_walls = self.squared_error(self.gbuffer.walls.pixels)
+        return of_walls > self.squared_error(self.gbuffer.pixels)
+
+    @property
+    def walls_coarse(self) -> bool:
+        """True if the walls still show their first, coarse texels."""
+        states = self.state.ravel()[self.gbuffer.walls.pixels]
+        return self.quality.waiting > 0 and bool((states <= PROVISIONAL).any())
 
     @cached_property
     def controlled(self) -> np.ndarray:
@@ -524,24 +432,46 @@ class Frame:
 
     @cached_property
     def true_mean(self) -> float:
-        """The mean luminance of the surface, corrected by control pixels; see
-        ``Quality.true_mean``.
+        """The mean luminance of the surface, with the mean error that control pixels find taken
+        out; of everything that is shown if there is no surface.
         """
-        return self.quality.true_mean(self)
+        # Walls, faces and glow have no control pixels: take the mean over the surface alone if they
+        # are in the picture.
+        if len(self.gbuffer.pixels) and (self.glow is not None or not self.gbuffer.alone):
+            shown = float(self.luminance(self.gbuffer.pixels).mean())
+        else:
+            shown = self.shown_mean
+        # Control pixels know how much too bright, or too dark, the surface is on the average.
+        if self.quality.known and len(self.controlled):
+            return self.quality.known.controls.mean(self.controlled, shown)
+        return shown
 
     @cached_property
     def measured(self) -> TotalError | None:
         """The total relative RMSE by control pixels, at least the noise once all texels have their
         samples; None if there are no control pixels.
         """
-        return self.quality.measured(self)
+        known = self.quality.known
+        if known is None or not len(self.controlled):
+            return None
+        # Weights undo the uneven drawing of the controls, so that the mean is one over all points.
+        squares = known.controls.weights * known.controls.squares(self.controlled)
+        found = measure_total(squares, self.true_mean)
+        # The noise counts all light that is lacking or borrowed: it bounds no provisional picture.
+        if self.provisional:
+            return found
+        return found.at_least(self.noise)
 
     @cached_property
     def tail(self) -> TailError | None:
         """The error that 99 % of the surface pixels stay below, by control pixels; None if
         there are none.
         """
-        return self.quality.tail(self)
+        known = self.quality.known
+        if self.measured is None or known is None:
+            return None
+        tail = tail_of(known.controls, self.controlled, known.uncertainty, self.true_mean)
+        return tail.within(self.measured)
 
     @cached_property
     def total_error(self) -> np.ndarray:
@@ -550,7 +480,27 @@ class Frame:
         It is measured if the picture has control pixels (see ``spread_errors``), else as the plan
         predicts; and it is never below the noise.
         """
-        return self.quality.total_error(self)
+        if self.view.shading != "gi":
+            return self.error
+        known = self.quality.known
+        error = self.error.copy()
+        pixels = self.gbuffer.pixels
+        # Besides its noise, a pixel has an error that the plan predicts or that control pixels have
+        # measured; the noise is part of the measured error, and is taken out of it.
+        if self.measured is None or known is None:
+            other = np.float32(self.quality.expected)
+        else:
+            errors = spread_errors(known.uncertainty, known.controls, self.controlled)
+            other = np.sqrt(np.maximum(errors**2 - self.pixel_noise**2, 0.0)) / np.maximum(
+                self.luminance(pixels), 1e-30
+            )
+        # The causes are independent, so their squares add up. A provisional pixel counts as all
+        # wrong.
+        lit = self.state.ravel()[pixels] > PROVISIONAL
+        error.ravel()[pixels] = np.where(
+            lit, np.minimum(np.hypot(error.ravel()[pixels], other), 1.0), 1.0
+        )
+        return error
 
     @property
     def pixel_noise(self) -> np.ndarray:

@@ -6,12 +6,12 @@ import numpy as np
 
 from isogi_core.frame.frame import Frame, Quality
 from isogi_core.frame.gbuffer import GBuffer
-from isogi_core.frame.lighting import RotatedLight, version_of
+from isogi_core.frame.lighting import version_of
 from isogi_core.frame.projected_texels import ProjectedReading, Projection
 from isogi_core.frame.rays.control_pixels import expected_error
 from isogi_core.frame.rays.picture_state import PictureState
+from isogi_core.frame.shot import Shot
 from isogi_core.frame.texel_reading import Lacking, Reading
-from isogi_core.frame.tiles import Stopwatch
 from isogi_core.frame.view_texels import ViewTexels
 from isogi_core.kernels.shading.framebuffer import FINAL, Framebuffer
 from isogi_core.kernels.tracing.camera import read_values
@@ -27,26 +27,26 @@ turned to it has.
 
 
 def frame_of(
-    gbuffer: GBuffer,
-    light: RotatedLight,
+    shot: Shot,
     framebuffer: Framebuffer,
-    watch: Stopwatch,
     texels: ViewTexels | None = None,
     reading: Reading | None = None,
     checked: PictureState | None = None,
     rays: bytes = b"",
 ) -> Frame:
-    """Make the frame of a view from its framebuffer, and paint the faces of its window into it.
+    """Make the frame of a ``shot`` from its framebuffer, and paint the faces of its window into it.
 
     ``texels`` and their ``reading`` are those that it was made from, if any; ``checked`` is the
     state of its picture's check; ``rays`` names the rays of shine, or through glass, that it shows.
     """
-    scene = light.spec.prepared.scene
+    gbuffer = shot.gbuffer
+    view = shot.view
+    scene = shot.scene
     # Faces of a window show the values of the volume, or the colours of its labels.
     if len(gbuffer.faces.pixels):
         colours = scene.surfaces.colours
         if colours is not None and colours.scale.labels:
-            paint_faces(gbuffer, scene, framebuffer, light.spec.prepared.colours)
+            paint_faces(gbuffer, scene, framebuffer, shot.prepared.colours)
         else:
             paint_faces(gbuffer, scene, framebuffer)
 
@@ -62,7 +62,7 @@ def frame_of(
         if isinstance(reading, ProjectedReading):
             projection = Projection(texels, reading, framebuffer)
     expected = 0.0
-    if texels and light.view.shading == "gi":
+    if texels and view.shading == "gi":
         expected = expected_error(scene, gbuffer.isovalue)
 
     # Name all that the picture depends on and that ``version_of`` leaves out: the light that was
@@ -73,18 +73,18 @@ def frame_of(
     if checked:
         read += checked.version
     read += rays
-    if light.view.window:
-        read += repr(light.view.window).encode()
-    if light.view.glow != 1.0:
-        read += repr(light.view.glow).encode()
+    if view.window:
+        read += repr(view.window).encode()
+    if view.glow != 1.0:
+        read += repr(view.glow).encode()
     return Frame(
-        view=light.view,
+        view=view,
         radiance=framebuffer.radiance.reshape(*gbuffer.shape, 3),
         state=framebuffer.state.reshape(gbuffer.shape),
         error=framebuffer.error.reshape(gbuffer.shape),
         gbuffer=gbuffer,
-        version=version_of(light, read),
-        seconds=watch.seconds,
+        version=version_of(shot.light, read),
+        seconds=shot.watch.seconds,
         quality=Quality(lacking, (needed, needed - short), projection, checked, rays, expected),
     )
 

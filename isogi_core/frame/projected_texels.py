@@ -141,15 +141,15 @@ class ProjectedReading(Reading):
         Light that projected texels soon replace need not become any better.
         """
         base = self.base
-        until = (self.target, self.enough)
         # Where light has only begun, all texels get their first samples; those to be projected get
         # no more.
+        first = self.goal._replace(samples=FIRST_LEVEL)
         unlit = (base.grade < FINAL) & (base.samples < FIRST_LEVEL)
         rest = lacking.of(base, (base.grade < FINAL) & ~self.wanted, ~self.wanted)
         return (
-            Stage(lacking.of(base, unlit, enough=FIRST_LEVEL), self.target, FIRST_LEVEL),
-            Stage(self.projected_demands(lacking), *until),
-            Stage(rest, *until),
+            Stage(lacking.of(base, unlit, samples=FIRST_LEVEL), first),
+            Stage(self.projected_demands(lacking), self.goal),
+            Stage(rest, self.goal),
         )
 
     @property
@@ -185,7 +185,7 @@ def join_readings(
     do without.
     """
     # Only texels that are far from the isosurface are projected, unless they cannot be: void.
-    beyond = distances.beyond(base.target)
+    beyond = distances.beyond(base.goal.error)
     grade = projected.grade
     wanted = beyond & (grade != VOID_GRADE)
     # Compare the noise of each with interpolation and noise of the base.
@@ -207,13 +207,12 @@ def join_readings(
     return ProjectedReading(
         rows=np.where(fit | dark, UNLIT_ROW, base.rows).astype(np.int32),
         grade=grade,
-        version=base.version + projected.version + repr((base.target, base.enough)).encode(),
+        version=base.version + projected.version + repr(tuple(base.goal)).encode(),
         samples=np.where(fit, projected.samples, base.samples),
         error=np.where(fit, projected.error, base.error),
         bounds=base.bounds,
         short=short,
-        target=base.target,
-        enough=base.enough,
+        goal=base.goal,
         base=base,
         projected=projected,
         pool=pool,

@@ -5,9 +5,8 @@ from abc import ABC, abstractmethod
 from typing import Generic, Protocol, TypeVar
 
 from isogi_core.frame.frame import Frame
-from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.picture_plan import Prices
-from isogi_core.frame.tiles import Tiles
+from isogi_core.frame.shot import Shot
 
 
 class Converging(Protocol):
@@ -31,34 +30,30 @@ class Refinement(ABC, Generic[Light]):
     Each step brings a picture nearer to a target error. Safe to use from many threads.
     """
 
-    def step(
-        self, frame: Frame, light: RotatedLight, target: float, tiles: Tiles, prices: Prices
-    ) -> bool:
-        """Take one step that brings a ``frame`` under a ``light`` nearer to the ``target``, a
-        relative error; return False if there is no step to take.
+    def step(self, frame: Frame, shot: Shot, prices: Prices) -> bool:
+        """Take one step that brings the ``frame`` of a ``shot`` nearer to its goal; return False if
+        there is no step to take.
 
         Return True without a step if another thread has taken one since the frame was drawn.
         ``prices`` are the costs of texels in paths of pixels, by which a check chooses between
         both. Raises Cancelled.
         """
-        found = self.of(frame, light, target, tiles)
+        found = self.of(shot)
         if found is None:
             return False
         # If the frame is older than the light, another thread has taken a step since it was drawn.
         # That step counts: the next frame shows it.
         with found.lock:
-            return not found.is_shown(frame) or self.advance(found, frame, target, tiles, prices)
+            return not found.is_shown(frame) or self.advance(found, frame, shot, prices)
 
     @abstractmethod
-    def of(self, frame: Frame, light: RotatedLight, target: float, tiles: Tiles) -> Light | None:
-        """Return the light of this kind in a ``frame``, as far as it has converged; None if the
-        frame has none of it.
+    def of(self, shot: Shot) -> Light | None:
+        """Return the light of this kind in a ``shot``, as far as it has converged; None if it has
+        none of it.
         """
 
     @abstractmethod
-    def advance(
-        self, found: Light, frame: Frame, target: float, tiles: Tiles, prices: Prices
-    ) -> bool:
-        """Trace more paths for the light ``found`` in a ``frame``; return False if it needs
-        none. The caller holds its lock.
+    def advance(self, found: Light, frame: Frame, shot: Shot, prices: Prices) -> bool:
+        """Trace more paths for the light ``found`` in the ``frame`` of a ``shot``; return False if
+        it needs none. The caller holds its lock.
         """

@@ -30,11 +30,12 @@ from typing import Any
 import numpy as np
 
 from isogi_core.bake.bake_spec import SPECS
-from isogi_core.bake.noise import Until
+from isogi_core.bake.noise import Goal
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.frame.edges import smooth_edges
 from isogi_core.frame.eye_glow import with_glow
+from isogi_core.frame.features import features_of
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.framing import frame_of
 from isogi_core.frame.gbuffer import GBuffer, surface_key, to_index, trace
@@ -43,6 +44,7 @@ from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.picture_plan import PRESENT, Prices
 from isogi_core.frame.several.composer import Composer
 from isogi_core.frame.several.peels import Peels
+from isogi_core.frame.shot import Shot
 from isogi_core.frame.surface_renderer import BLOCKS_SHARE, VIEW_BYTES, SurfaceRenderer
 from isogi_core.frame.texel_normals import OwnNormals
 from isogi_core.frame.texel_reading import Reading, read_texels
@@ -108,9 +110,9 @@ class Renderer(SurfaceRenderer):
             tiles = self.tiles.cancelled_by(cancelled)
         else:
             tiles = self.tiles
-        until = Until(target or self.prepared.scene.target_error, enough)
+        goal = Goal(target or self.prepared.scene.target_error, enough)
         watch = watch or Stopwatch()
-        frame = self._draw(view, until, tiles, watch)
+        frame = self._draw(view, goal, tiles, watch)
         if view.moving or not view.smooth:
             return frame
         # Add samples to pixels at edges.
@@ -119,12 +121,12 @@ class Renderer(SurfaceRenderer):
                 return self._composer.smooth(frame, tiles)
             return smooth_edges(frame, self.prepared, tiles)
 
-    def _draw(self, view: View, until: Until, tiles: Tiles, watch: Stopwatch) -> Frame:
+    def _draw(self, view: View, goal: Goal, tiles: Tiles, watch: Stopwatch) -> Frame:
         """Render a ``view``, and add the glow in front of its surfaces."""
-        lit = self._draw_lit(view, until, tiles, watch)
+        lit = self._draw_lit(view, goal, tiles, watch)
         return with_glow(lit, self._kept, surface_key(view), self.prepared, tiles, watch)
 
-    def _draw_lit(self, view: View, until: Until, tiles: Tiles, watch: Stopwatch) -> Frame:
+    def _draw_lit(self, view: View, goal: Goal, tiles: Tiles, watch: Stopwatch) -> Frame:
         """Render the surfaces and walls of a ``view``."""
         # Refuse views that the scene cannot answer: another albedo, or a camera inside a wall.
         self.prepared.scene.surfaces.albedo_for(view.albedo)
@@ -132,10 +134,10 @@ class Renderer(SurfaceRenderer):
             view.camera, self.prepared.scene.volume.radius
         )
         if self._composer is not None:
-            return self._composer.draw(view, until, tiles, watch)
+            return self._composer.draw(view, goal, tiles, watch)
         with watch.stage("primary"):
             gbuffer = self.gbuffer(view, tiles)
-        return self.draw_on(gbuffer, view, until, tiles, watch)
+        return self.draw(self.shot(view, gbuffer, goal, tiles, watch))
 
     def refine(
         self,
@@ -150,12 +152,12 @@ class Renderer(SurfaceRenderer):
         By the ``prices`` of texels a step may be to ask for finer ones: see ``ViewChecks``. Raises
         Cancelled once ``tiles`` are cancelled, and the errors of ``render``.
         """
-        target = target or self.prepared.scene.target_error
+        goal = Goal(target or self.prepared.scene.target_error, FIRST_LEVEL)
         tiles = tiles or self.tiles
         if self._composer is not None:
-            return self._composer.refine(view, target, tiles, prices)
-        frame = self._draw(view, Until(target, FIRST_LEVEL), tiles, Stopwatch())
-        return self.refine_frame(frame, target, tiles, prices)
+            return self._composer.refine(view, goal, tiles, prices)
+        frame = self._draw(view, goal, tiles, Stopwatch())
+        return self.refine_frame(frame, goal, tiles, prices)
 
     def light_points(self, view: View, points: np.ndarray) -> tuple[Frame, np.ndarray]:
         """Render surface ``points`` (m, 3) in index space that no ray has found; return a frame and
@@ -172,12 +174,9 @@ class Renderer(SurfaceRenderer):
         gbuffer = GBuffer.of_points(
             surface, to_index(np.array(view.camera.eye), surface.field.spacing), points
         )
-        light = self._light(row)
-        target = self.prepared.scene.target_error
-        until = Until(target)
-        return self._render_texels(gbuffer, light, until, self.tiles, Stopwatch()), gbuffer.normals(
-            self.tiles
-        )
+        goal = Goal(self.prepared.scene.target_error)
+        frame = self._draw_texels(self.shot(row, gbuffer, goal, self.tiles))
+        return frame, gbuffer.normals(self.tiles)
 
     def gbuffer(self, view: View, tiles: Tiles | None = None) -> GBuffer:
         """Return the G-buffer of a ``view``, kept or traced now. Raises Cancelled once
@@ -230,7 +229,7 @@ def unlit_frame(
     """
     scene = renderer.prepared.scene
     # Skip the picture only if all light is missing, and is asked for in one stage.
-    staged = scene.surfaces.several or scene.surfaces.material.refracts
+    staged = any(feature.in_stages for feature in features_of(scene))
     if staged or view.moving or view.shading not in SPECS or renderer.knows(view):
         return None
     scene.lighting.room.refuse_camera(view.camera, scene.volume.radius)
@@ -245,7 +244,7 @@ def unlit_frame(
     with loader.pool.hold(texels.chunks) as held:
         if not len(held.slots) or (held.slots >= 0).any():
             return None
-        reading = read_texels(texels, held.slots, loader.pool, Until(target, FIRST_LEVEL), tiles)
+        reading = read_texels(texels, held.slots, loader.pool, Goal(target, FIRST_LEVEL), tiles)
     return undrawn_frame(renderer, view, texels, reading)
 
 
@@ -261,4 +260,5 @@ def undrawn_frame(renderer: Renderer, view: View, texels: ViewTexels, reading: R
     )
     white.state[gbuffer.pixels] = PROVISIONAL
     light = RotatedLight(renderer.caches.spec(view.shading), view)
-    return frame_of(gbuffer, light, white, Stopwatch(), texels, reading)
+    shot = Shot(gbuffer, light, reading.goal, renderer.tiles)
+    return frame_of(shot, white, texels, reading)

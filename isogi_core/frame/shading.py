@@ -20,8 +20,9 @@ from isogi_core.frame.rays.pixel_rays import (
     replicas_for,
     variance_of_mean,
 )
+from isogi_core.frame.shot import Shot
 from isogi_core.frame.texel_reading import Reading
-from isogi_core.frame.tiles import Stopwatch, Tiles
+from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import PAIRED, ViewTexels
 from isogi_core.kernels.shading.filtering import (
     PATHS_COLUMN,
@@ -68,32 +69,32 @@ def empty_framebuffer(gbuffer: GBuffer) -> Framebuffer:
     )
 
 
-def shade(
-    gbuffer: GBuffer, light: RotatedLight, target: float, tiles: Tiles, watch: Stopwatch
-) -> Framebuffer:
+def shade(shot: Shot) -> Framebuffer:
     """Shade a picture that reads no texels: by a local model, or by paths from its pixels.
     Raises Cancelled.
     """
     # Find the normals now: the G-buffer keeps them, and their time counts as a stage.
-    with watch.stage("normals"):
-        gbuffer.shown(tiles)
+    with shot.watch.stage("normals"):
+        shot.gbuffer.shown(shot.tiles)
     # Paths reflect light by the colours of the surface themselves; local models leave them out.
-    if light.view.shading == "path_traced":
-        with watch.stage("paths"):
-            return shade_by_paths(gbuffer, light, target, tiles)
-    with watch.stage("shade"):
-        framebuffer = shade_locally(gbuffer, light, tiles)
-        colour_surface(gbuffer, light, framebuffer, tiles)
+    if shot.view.shading == "path_traced":
+        with shot.watch.stage("paths"):
+            return shade_by_paths(shot)
+    with shot.watch.stage("shade"):
+        framebuffer = shade_locally(shot)
+        colour_surface(shot, framebuffer)
         return framebuffer
 
 
-def shade_locally(gbuffer: GBuffer, light: RotatedLight, tiles: Tiles) -> Framebuffer:
+def shade_locally(shot: Shot) -> Framebuffer:
     """Shade by Lambert's or Phong's model, with or without shadows and fog. Raises Cancelled."""
+    gbuffer = shot.gbuffer
+    view = shot.view
+    tiles = shot.tiles
     points = gbuffer.shown(tiles)
     framebuffer = empty_framebuffer(gbuffer)
-    view = light.view
     traced = gbuffer.surface.traced(tiles.run)
-    model = light.local_model(view.shading, fog_depths(view, light.spec.prepared.scene.volume))
+    model = shot.light.local_model(view.shading, fog_depths(view, shot.scene.volume))
     camera = (gbuffer.eye, gbuffer.spacing)
     seen = np.empty(len(gbuffer.pixels), np.bool_)
 
@@ -116,22 +117,22 @@ def fog_depths(view: View, volume: Volume) -> tuple[float, float]:
     return max(middle - volume.radius, 0.0), middle + volume.radius
 
 
-def colour_surface(
-    gbuffer: GBuffer, light: RotatedLight, framebuffer: Framebuffer, tiles: Tiles
-) -> None:
-    """Multiply the surface in a picture by its colours by data, if it has any; relative errors
-    stay. Raises Cancelled.
+def colour_surface(shot: Shot, framebuffer: Framebuffer) -> None:
+    """Multiply the surface in the picture of a ``shot`` by its colours by data, if it has any;
+    relative errors stay. Raises Cancelled.
     """
-    if light.coloured:
-        framebuffer.radiance[gbuffer.pixels] *= light.tints(gbuffer, tiles)
+    if shot.light.coloured:
+        tints = shot.light.tints(shot.gbuffer, shot.tiles)
+        framebuffer.radiance[shot.gbuffer.pixels] *= tints
 
 
-def shade_by_paths(
-    gbuffer: GBuffer, light: RotatedLight, target: float, tiles: Tiles
-) -> Framebuffer:
+def shade_by_paths(shot: Shot) -> Framebuffer:
     """Path-trace a picture, as a reference; estimate its error from replicas, and mark pixels
-    as final if it is within the ``target``. Raises Cancelled.
+    as final if it is within that of the goal. Raises Cancelled.
     """
+    gbuffer = shot.gbuffer
+    light = shot.light
+    tiles = shot.tiles
     pixels = gbuffer.pixels
     samples = light.view.samples
     framebuffer = empty_framebuffer(gbuffer)
@@ -149,7 +150,7 @@ def shade_by_paths(
         variance[some] = variance_of_mean(means)
 
     darkest = MIN_LUMINANCE * light.spec.unit
-    put_noise(framebuffer, pixels, pooled_variance(variance, gbuffer), darkest, target)
+    put_noise(framebuffer, pixels, pooled_variance(variance, gbuffer), darkest, shot.goal.error)
     return framebuffer
 
 

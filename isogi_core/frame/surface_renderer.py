@@ -2,11 +2,12 @@
 refine them.
 """
 
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
 from isogi_core.bake.bake_spec import spec_name
-from isogi_core.bake.noise import Until
+from isogi_core.bake.noise import Goal
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.cache.wall_store import WallStore
 from isogi_core.frame.frame import Frame
@@ -21,10 +22,11 @@ from isogi_core.frame.rays.wall_light import ViewWalls
 from isogi_core.frame.refinement import Refinement
 from isogi_core.frame.several.mixed_reading import Level
 from isogi_core.frame.shading import colour_surface, empty_framebuffer, shade
+from isogi_core.frame.shot import Shot
 from isogi_core.frame.texel_reading import Reading
 from isogi_core.frame.texel_shading import FilteredLight, StandIn, TexelShading
 from isogi_core.frame.tiles import Stopwatch, Tiles
-from isogi_core.frame.view_checks import ViewChecks, is_checked, texels_until
+from isogi_core.frame.view_checks import ViewChecks, goal_of_texels, is_checked
 from isogi_core.frame.view_texels import ViewTexels
 from isogi_core.kernels.shading.lobes import add_lobes
 from isogi_core.lru_cache import LruCache
@@ -96,50 +98,13 @@ class SurfaceRenderer:
             part.nbytes for part in (self._kept, self._texels, self.prepared.maps, self.caches)
         )
 
-    def draw_on(
-        self, gbuffer: GBuffer, view: View, until: Until, tiles: Tiles, watch: Stopwatch
-    ) -> Frame:
-        """Render a ``view`` of the surface points in a ``gbuffer``, with the light that is
-        there now. Raises Cancelled.
+    def shot(
+        self, view: View, gbuffer: GBuffer, goal: Goal, tiles: Tiles, watch: Stopwatch | None = None
+    ) -> Shot:
+        """Return the shot of a ``view`` of the surface points in a ``gbuffer``, under the lights of
+        the scene.
         """
-        light = self._light(view)
-        target = until.target
-        # Glass keeps no texels: rays through its pixels find the walls and the sky that it shows.
-        if view.shading == "gi" and self.prepared.scene.surfaces.material.refracts:
-            return self._through.draw(gbuffer, light, target, tiles, watch)
-        # Global illumination and vicinity shading come from texels, all other shadings from local
-        # models or from paths.
-        if view.shading in ("gi", "vicinity"):
-            return self._render_texels(gbuffer, light, until, tiles, watch)
-        frame = frame_of(gbuffer, light, shade(gbuffer, light, target, tiles, watch), watch)
-        return self._walls.add(frame, light, target, tiles, watch)
-
-    def draw_walls(
-        self, gbuffer: GBuffer, view: View, target: float, tiles: Tiles, watch: Stopwatch
-    ) -> Frame:
-        """Render the walls in a ``gbuffer``, without the surface. Raises Cancelled."""
-        light = self._light(view)
-        frame = frame_of(gbuffer, light, empty_framebuffer(gbuffer), watch)
-        return self._walls.add(frame, light, target, tiles, watch)
-
-    def refine_frame(self, frame: Frame, target: float, tiles: Tiles, prices: Prices) -> bool:
-        """Take one step that brings a ``frame`` nearer to the ``target`` error; return False if
-        there is no step to take.
-
-        ``prices`` weigh paths of texels against paths of pixels. Raises Cancelled.
-        """
-        if not frame.refinable:
-            return False
-        light = self._light(frame.view)
-        # A picture that is still provisional is measured once, before anything refines it.
-        if frame.unmeasured:
-            return self.checks.step(frame, light, target, tiles, prices)
-        # Walls come first; shine and the check of pixels wait until walls are final, as they see
-        # them.
-        walls, *others = self._refinements
-        if frame.quality.waiting:
-            return walls.step(frame, light, target, tiles, prices)
-        return any(each.step(frame, light, target, tiles, prices) for each in others)
+        return Shot(gbuffer, self._light(view), goal, tiles, watch or Stopwatch())
 
     def _light(self, view: View) -> RotatedLight:
         """Return the lights of a ``view``, rotated; a view that moves goes without some of the
@@ -150,40 +115,75 @@ class SurfaceRenderer:
             spec = spec.moving
         return RotatedLight(spec, view)
 
-    def _render_texels(
-        self, gbuffer: GBuffer, light: RotatedLight, until: Until, tiles: Tiles, watch: Stopwatch
-    ) -> Frame:
-        """Render a picture from the illumination cache: global illumination, or vicinity
-        shading (S1, section 4.2).
+    def draw(self, shot: Shot) -> Frame:
+        """Draw a ``shot`` with the light that is there now. Raises Cancelled."""
+        shading = shot.view.shading
+        # Glass keeps no texels: rays through its pixels find the walls and the sky that it shows.
+        if shading == "gi" and shot.scene.surfaces.material.refracts:
+            return self._through.draw(shot)
+        # Global illumination and vicinity shading come from texels, all other shadings from local
+        # models or from paths.
+        if shading in ("gi", "vicinity"):
+            return self._draw_texels(shot)
+        return self._walls.add(frame_of(shot, shade(shot)), shot)
+
+    def draw_walls(self, shot: Shot) -> Frame:
+        """Draw the walls in a ``shot``, without the surface. Raises Cancelled."""
+        return self._walls.add(frame_of(shot, empty_framebuffer(shot.gbuffer)), shot)
+
+    def refine_frame(self, frame: Frame, goal: Goal, tiles: Tiles, prices: Prices) -> bool:
+        """Take one step that brings a ``frame`` nearer to the ``goal``; return False if there is no
+        step to take.
+
+        ``prices`` weigh paths of texels against paths of pixels. Raises Cancelled.
         """
-        target = until.target
+        if not frame.refinable:
+            return False
+        shot = self.shot(frame.view, frame.gbuffer, goal, tiles)
+        # A picture that is still provisional is measured once, before anything refines it.
+        if frame.unmeasured:
+            return self.checks.step(frame, shot, prices)
+        # Walls come first; shine and the check of pixels wait until walls are final, as they see
+        # them.
+        walls, *others = self._refinements
+        if frame.quality.waiting:
+            return walls.step(frame, shot, prices)
+        return any(each.step(frame, shot, prices) for each in others)
+
+    def _draw_texels(self, shot: Shot) -> Frame:
+        """Draw a ``shot`` from the illumination cache: global illumination, or vicinity shading
+        (S1, section 4.2).
+        """
+        gbuffer = shot.gbuffer
+        light = shot.light
+        tiles = shot.tiles
         # The check of this picture knows how many samples its texels need. A caller that asks for
         # all samples there can be wants no check.
         known = None
-        if is_checked(light.view) and until.enough < MAX_SAMPLES:
-            known = self.checks.check(light, target).known
+        if is_checked(shot.view) and shot.goal.samples < MAX_SAMPLES:
+            known = self.checks.of(shot).known
         # Find the texels around the surface points, read their light, and carry it to the pixels.
-        with watch.stage("texels"):
-            texels = self.texels(light.view, gbuffer, tiles)
+        with shot.watch.stage("texels"):
+            texels = self.texels(shot.view, gbuffer, tiles)
         shine = b""
-        until = texels_until(until, light.view, known)
-        reading, framebuffer = self._texels.picture(texels, light, until, tiles, watch)
+        goal = goal_of_texels(shot.goal, shot.view, known)
+        reading, framebuffer = self._texels.picture(texels, replace(shot, goal=goal))
         # Lobes are lit by shadow rays from the pixels, as they are sharper than texels.
         if light.spec.lobes:
-            with watch.stage("lobes"):
+            with shot.watch.stage("lobes"):
                 straight = self.lobes(light, gbuffer, tiles)
                 add_lobes(gbuffer.pixels, straight.lit, light.spec.unit, framebuffer)
         # Texels hold light for a white surface: colours by data are multiplied in at the pixels.
-        colour_surface(gbuffer, light, framebuffer, tiles)
+        colour_surface(shot, framebuffer)
         # Shine depends on the direction to the eye, and is added by rays from the pixels.
-        if light.shine is not None and spec_name(light.view.shading) == "gi":
-            with watch.stage("shine"):
-                shine = self._shine.put(gbuffer, light, target, framebuffer, tiles)
+        if light.shine is not None and spec_name(shot.view.shading) == "gi":
+            with shot.watch.stage("shine"):
+                shine = self._shine.put(shot, framebuffer)
         # Pixels that got light from paths of their own show it in place of the light of texels.
         if known is not None:
             known.own.put(framebuffer, gbuffer, light, tiles)
-        frame = frame_of(gbuffer, light, framebuffer, watch, texels, reading, known, shine)
-        return self._walls.add(frame, light, target, tiles, watch)
+        frame = frame_of(shot, framebuffer, texels, reading, known, shine)
+        return self._walls.add(frame, shot)
 
     def texels(self, view: View, gbuffer: GBuffer, tiles: Tiles | None = None) -> ViewTexels:
         """Return the texels of a ``view``, from those kept or found now. They hold its

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from isogi_core.bake.noise import RATE, Effort, Until, efforts, expected_samples, good_enough
+from isogi_core.bake.noise import RATE, Effort, Goal, efforts, expected_samples, good_enough
 from isogi_core.cache.page_pool import PagePool, fewest_samples
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.frame.demand import Demand
@@ -25,7 +25,6 @@ from isogi_core.kernels.shading.lattice import (
     VOID_GRADE,
     VOID_ROW,
 )
-from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.model.volume import Isovalue
 from isogi_core.prepared.prepared_scene import Index
 
@@ -50,8 +49,7 @@ class Reading:
     - ``error`` float32: relative error by noise.
     - ``bounds``: texels of chunk i are ``bounds[i]`` … ``bounds[i + 1]``.
     - ``short`` (chunks,) bool: True for chunks with texels that lack light.
-    - ``target``: relative error of the picture.
-    - ``enough``: number of samples after which a texel needs no more.
+    - ``goal``: of the picture; it decides which texels are final.
     """
 
     rows: np.ndarray
@@ -61,8 +59,7 @@ class Reading:
     error: np.ndarray
     bounds: np.ndarray
     short: np.ndarray
-    target: float
-    enough: int
+    goal: Goal
 
     @property
     def nbytes(self) -> int:
@@ -92,7 +89,7 @@ class Reading:
         bool.
         """
         return np.asarray(
-            self.lit & (self.samples > 0) & ~good_enough(self.error, self.samples, self.target)
+            self.lit & (self.samples > 0) & ~good_enough(self.error, self.samples, self.goal.error)
         )
 
     @property
@@ -146,14 +143,14 @@ class Reading:
 
     def stages(self, lacking: "Lacking") -> tuple["Stage", ...]:
         """Return the light that a picture is ``lacking``, stage after stage."""
-        return (Stage(self.demands(lacking), self.target, self.enough),)
+        return (Stage(self.demands(lacking), self.goal),)
 
 
 def read_texels(
-    texels: ViewTexels, slots: np.ndarray, pool: PagePool, until: Until, tiles: Tiles
+    texels: ViewTexels, slots: np.ndarray, pool: PagePool, goal: Goal, tiles: Tiles
 ) -> Reading:
-    """Look up a view's texels in the ``pool``, at the ``slots`` of its chunks. Light is final
-    ``until`` its target error, or enough samples.
+    """Look up a view's texels in the ``pool``, at the ``slots`` of its chunks. The ``goal``
+    decides which light is final.
     """
     places = texels.places
     rows = np.empty(len(places), np.int32)
@@ -167,7 +164,7 @@ def read_texels(
         stamp = np.empty(b - a, np.float32)
         find_rows(texels.lattice, places[a:b], slots, pages, rows[a:b], error[a:b], stamp)
         samples[a:b] = fewest_samples(stamp, len(pool.spec.plan.layers))
-        grade[a:b] = grade_rows(rows[a:b], error[a:b], samples[a:b], *until)
+        grade[a:b] = grade_rows(rows[a:b], error[a:b], samples[a:b], goal)
         digests[a] = hashlib.sha256(stamp.data).digest()
 
     tiles.run(_piece, len(places), TEXELS_A_PIECE)
@@ -178,21 +175,20 @@ def read_texels(
         short = np.zeros(0, np.bool_)
     # Digests are joined in the order of the texels, whichever thread was first.
     version = b"".join(digests[a] for a in sorted(digests))
-    return Reading(rows, grade, version, samples, error, texels.bounds, short, *until)
+    return Reading(rows, grade, version, samples, error, texels.bounds, short, goal)
 
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """A stage of the light that a picture lacks: ``demands`` of one bake, until a ``target`` error
-    or ``enough`` samples.
+    """A stage of the light that a picture lacks: ``demands`` of one bake, and the ``goal`` of
+    their texels.
 
     ``caches`` are those of the light, if it is not that of the outer side of the surface that
     slides.
     """
 
     demands: tuple[Demand, ...]
-    target: float
-    enough: int = MAX_SAMPLES
+    goal: Goal
     caches: Caches | None = None
 
     @property
@@ -256,30 +252,32 @@ class Lacking:
         wanted: np.ndarray | None = None,
         shown: Isovalue | None = None,
         like: "Reading | None" = None,
-        enough: int | None = None,
+        samples: int | None = None,
     ) -> tuple[Demand, ...]:
         """Return the demands for the chunks that have texels ``lacking`` light, (texels,) bool.
 
         - ``wanted`` (texels,) bool: texels that are demanded of such a chunk; by default all.
         - ``shown``: isosurface that texels are projected onto, if they are.
         - ``like``: reading by which the samples of texels without light are predicted.
-        - ``enough``: number of samples after which a texel needs no more; by default the reading's.
+        - ``samples``: number of samples after which a texel needs no more; by default the goal's.
         """
-        until = reading.target, enough or reading.enough
+        goal = reading.goal
+        if samples is not None:
+            goal = goal._replace(samples=samples)
         texels = self.texels
         rows = np.flatnonzero(lacking)
         chunks = np.searchsorted(reading.bounds, rows, side="right") - 1
         touched = np.unique(chunks)
         # Add up the samples that texels of each chunk have taken and will take.
         sums = efforts(
-            chunks, len(texels.chunks), reading.error[rows], reading.samples[rows], *until
+            chunks, len(texels.chunks), reading.error[rows], reading.samples[rows], *goal
         )
         # Projected texels without light are expected to need as many samples as the same texels on
         # their own isosurfaces.
         if like is not None:
             rows, chunks = (each[reading.samples[rows] == 0] for each in (rows, chunks))
             known = like.error[rows], like.samples[rows]
-            sums[:, 3] = expected_samples(chunks, len(texels.chunks), *known, *until)
+            sums[:, 3] = expected_samples(chunks, len(texels.chunks), *known, *goal)
 
         def _demand(i: int) -> Demand:
             some: slice | np.ndarray = slice(None)
@@ -302,15 +300,14 @@ def grade_rows(
     rows: np.ndarray,
     error: np.ndarray,
     samples: np.ndarray,
-    target: float,
-    enough: int = MAX_SAMPLES,
+    goal: Goal,
 ) -> np.ndarray:
-    """Return the grade of the light in each row, by its ``error`` and its ``samples``;
-    (texels,) uint8.
+    """Return the grade of the light in each row, by its ``error``, its ``samples`` and the ``goal``
+    of the picture; (texels,) uint8.
     """
     # A boolean is 0 or 1, so adding CONVERGING makes FINAL of good light. The samples are those of
     # the layer that has the fewest: with none, some layers are not baked yet.
-    grade = good_enough(error, samples, target, enough).view(np.uint8)
+    grade = good_enough(error, samples, *goal).view(np.uint8)
     grade += CONVERGING
     grade[samples == 0] = PARTIAL_GRADE
     if (rows < 0).any():

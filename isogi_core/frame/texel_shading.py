@@ -14,11 +14,9 @@ from typing import Any
 import numpy as np
 
 from isogi_core.bake.bake_spec import spec_name
-from isogi_core.bake.noise import Until
 from isogi_core.cache.page_pool import Held, PagePool
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.frame.gbuffer import GBuffer, surface_key
-from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.projected_texels import Distances, find_distances, held_chunks, join_readings
 from isogi_core.frame.several.mixed_reading import Level, mixed
 from isogi_core.frame.shading import (
@@ -28,6 +26,7 @@ from isogi_core.frame.shading import (
     filter_texel_light,
     light_sources,
 )
+from isogi_core.frame.shot import Shot
 from isogi_core.frame.texel_normals import (
     ENTRY,
     OwnNormals,
@@ -36,7 +35,7 @@ from isogi_core.frame.texel_normals import (
     nearby_normals,
 )
 from isogi_core.frame.texel_reading import Reading, read_texels
-from isogi_core.frame.tiles import Stopwatch, Tiles
+from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import (
     ViewTexels,
     carries_irradiance_ratios,
@@ -68,32 +67,27 @@ class StandIn:
         self._box = box_left(left, whole.prepared.scene.volume.size)
 
     def light(
-        self,
-        texels: ViewTexels,
-        reading: Reading,
-        lit: np.ndarray,
-        light: RotatedLight,
-        tiles: Tiles,
+        self, texels: ViewTexels, reading: Reading, lit: np.ndarray, shot: Shot
     ) -> tuple[Reading, np.ndarray]:
-        """Return the ``reading`` of a view and the light ``lit`` of its texels, with borrowed light
-        for texels that have none yet.
+        """Return the ``reading`` of a ``shot`` and the light ``lit`` of its texels, with borrowed
+        light for texels that have none yet.
 
         Such texels count as partly lit, so pixels that read them stay provisional. Texels that are
         buried in the whole volume are dark. Raises Cancelled.
         """
         # Borrow only light that was baked by the same plan.
+        light = shot.light
+        tiles = shot.tiles
         caches = self._whole()
         waiting = reading.grade == UNBAKED_GRADE
         if caches is None or not waiting.any():
             return reading, lit
-        if caches.spec(light.view.shading).plan != light.spec.plan:
+        if caches.spec(shot.view.shading).plan != light.spec.plan:
             return reading, lit
-        loader = caches.of(light.view.shading)
+        loader = caches.of(shot.view.shading)
         loader.ensure(texels.chunks, tiles.check)
         with loader.pool.hold(texels.chunks) as held:
-            other = read_texels(
-                texels, held.slots, loader.pool, Until(reading.target, reading.enough), tiles
-            )
+            other = read_texels(texels, held.slots, loader.pool, reading.goal, tiles)
             # Borrow for texels without light that are far from the cut, if the whole has light
             # there, or is known to be dark.
             known = np.isin(other.grade, (CONVERGING, FINAL, BURIED_GRADE))
@@ -164,30 +158,21 @@ class TexelShading:
         make = partial(find_texels, gbuffer, self.prepared, tiles, coarse)
         return self._kept.get((ViewTexels, surface_key(view), coarse), make)
 
-    def picture(
-        self, texels: ViewTexels, light: RotatedLight, until: Until, tiles: Tiles, watch: Stopwatch
-    ) -> tuple[Reading, Framebuffer]:
-        """Return the reading of a view's texels, and the picture of their light. Light is final
-        ``until`` its target error, or enough samples.
-        """
-        reading, lit = self.lit(texels, light, until, tiles, watch)
-        return reading, self._carry(texels, reading, lit, light, tiles, watch)
+    def picture(self, texels: ViewTexels, shot: Shot) -> tuple[Reading, Framebuffer]:
+        """Return the reading of the texels of a ``shot``, and the picture of their light."""
+        reading, lit = self.lit(texels, shot)
+        return reading, self._carry(texels, reading, lit, shot)
 
-    def lit(
-        self, texels: ViewTexels, light: RotatedLight, until: Until, tiles: Tiles, watch: Stopwatch
-    ) -> tuple[Reading, np.ndarray]:
-        """Return the reading of a view's texels, and their light (texels, LIGHT_NUMBERS),
+    def lit(self, texels: ViewTexels, shot: Shot) -> tuple[Reading, np.ndarray]:
+        """Return the reading of the texels of a ``shot``, and their light (texels, LIGHT_NUMBERS),
         filtered if it is grainy.
         """
         # Read the light of each level, and mix it.
-        found = [
-            self._lit_by(each.caches, texels, light, until, tiles, watch) for each in self._levels
-        ]
+        found = [self._lit_by(each.caches, texels, shot) for each in self._levels]
         reading, lit = mixed(self._levels, found)
-        if not self._is_filtered(light.view, reading):
+        if not self._is_filtered(shot.view, reading):
             return reading, lit
-        view = light.view
-        wanted = Until(reading.target, reading.enough)
+        view = shot.view
         # Filtering takes long, and is kept for as long as light and texels stay the same. Its
         # normals are those that the texels are lit about.
         key = (
@@ -197,15 +182,17 @@ class TexelShading:
             view.albedo,
             view.glow,
             view.moving,
-            wanted,
+            reading.goal,
             reading.version,
         )
 
         def make() -> FilteredLight:
-            with watch.stage("normals"):
-                about = self._texel_normals(view, texels, reading, tiles)
-            with watch.stage("filter"):
-                found, smooth = filter_texel_light(texels, reading, lit, about, light, tiles)
+            with shot.watch.stage("normals"):
+                about = self._texel_normals(texels, reading, shot)
+            with shot.watch.stage("filter"):
+                found, smooth = filter_texel_light(
+                    texels, reading, lit, about, shot.light, shot.tiles
+                )
             return FilteredLight(found.grade != reading.grade, smooth)
 
         filtered = self._kept.get(key, make)
@@ -218,50 +205,34 @@ class TexelShading:
         """
         return self._filters and spec_name(view.shading) == "gi" and bool(reading.grainy.any())
 
-    def _lit_by(
-        self,
-        caches: Caches,
-        texels: ViewTexels,
-        light: RotatedLight,
-        until: Until,
-        tiles: Tiles,
-        watch: Stopwatch,
-    ) -> tuple[Reading, np.ndarray]:
-        """Return the reading of a view's texels, and their light, by the ``caches`` of one
+    def _lit_by(self, caches: Caches, texels: ViewTexels, shot: Shot) -> tuple[Reading, np.ndarray]:
+        """Return the reading of the texels of a ``shot``, and their light, by the ``caches`` of one
         level.
         """
         # Hold the chunks in memory while their light is read.
-        with (
-            self._read(caches, texels, light.view, until, tiles, watch) as (base, pool, _),
-            ExitStack() as stack,
-        ):
-            with watch.stage("read"):
-                reading = stack.enter_context(
-                    self._project(light.view, texels, base, caches, tiles)
-                )
-            with watch.stage("light"):
-                lit = light_sources(reading.sources(pool), light, tiles)
+        with self._read(caches, texels, shot) as (base, pool, _), ExitStack() as stack:
+            with shot.watch.stage("read"):
+                reading = stack.enter_context(self._project(caches, texels, base, shot))
+            with shot.watch.stage("light"):
+                lit = light_sources(reading.sources(pool), shot.light, shot.tiles)
                 if self._stand_in is not None:
-                    reading, lit = self._stand_in.light(texels, reading, lit, light, tiles)
+                    reading, lit = self._stand_in.light(texels, reading, lit, shot)
         return reading, lit
 
     def _carry(
-        self,
-        texels: ViewTexels,
-        reading: Reading,
-        lit: np.ndarray,
-        light: RotatedLight,
-        tiles: Tiles,
-        watch: Stopwatch,
+        self, texels: ViewTexels, reading: Reading, lit: np.ndarray, shot: Shot
     ) -> Framebuffer:
         """Carry the light of texels, ``lit`` (texels, LIGHT_NUMBERS), to the pixels: as
         irradiance ratios, or as it is.
         """
         gbuffer = texels.gbuffer
+        light = shot.light
+        tiles = shot.tiles
+        watch = shot.watch
         records = None
         if carries_irradiance_ratios(self.prepared.scene, light.view.shading, reading.projects):
             with watch.stage("normals"):
-                about = self._texel_normals(light.view, texels, reading, tiles)
+                about = self._texel_normals(texels, reading, shot)
             with watch.stage("light"):
                 records = fill_texel_records(reading.grade, lit, about, light, tiles)
         # Normals of the pixels are needed for ratios, and for the sky that replaces missing light;
@@ -277,34 +248,29 @@ class TexelShading:
 
     @contextmanager
     def _read(
-        self,
-        caches: Caches,
-        texels: ViewTexels,
-        view: View,
-        until: Until,
-        tiles: Tiles,
-        watch: Stopwatch,
+        self, caches: Caches, texels: ViewTexels, shot: Shot
     ) -> Iterator[tuple[Reading, PagePool, Held]]:
-        """Hold a view's chunks in the pool of ``caches`` while the block runs; yield the reading of
-        its texels, the pool, and the chunks held.
+        """Hold the chunks of a ``shot`` in the pool of ``caches`` while the block runs; yield the
+        reading of its texels, the pool, and the chunks held.
 
         Raises the errors of ``Loader.ensure``.
         """
-        loader = caches.of(view.shading)
-        with watch.stage("load"):
-            loader.ensure(texels.chunks, tiles.check)
+        loader = caches.of(shot.view.shading)
+        goal = shot.goal
+        with shot.watch.stage("load"):
+            loader.ensure(texels.chunks, shot.tiles.check)
         with loader.pool.hold(texels.chunks) as held:
-            with watch.stage("read"):
+            with shot.watch.stage("read"):
                 # A reading is valid as long as the pool has not changed, which its age tells.
                 key = (
                     Reading,
-                    surface_key(view),
+                    surface_key(shot.view),
                     texels.coarse,
                     loader.pool.spec.digest,
-                    until,
+                    goal,
                     held.age,
                 )
-                make = partial(read_texels, texels, held.slots, loader.pool, until, tiles)
+                make = partial(read_texels, texels, held.slots, loader.pool, goal, shot.tiles)
                 reading = self._kept.get(key, make)
             yield reading, loader.pool, held
 
@@ -321,37 +287,35 @@ class TexelShading:
 
     @contextmanager
     def _project(
-        self, view: View, texels: ViewTexels, base: Reading, caches: Caches, tiles: Tiles
+        self, caches: Caches, texels: ViewTexels, base: Reading, shot: Shot
     ) -> Iterator[Reading]:
-        """Yield the reading of a view: of ``base`` texels, with projected ones in place of
+        """Yield the reading of a ``shot``: of ``base`` texels, with projected ones in place of
         those that are far from the isosurface. Their chunks are held while the block runs.
         """
-        if not self._projects(texels, view):
+        if not self._projects(texels, shot.view):
             yield base
             return
         # Look up the projected texels of this isovalue, which have caches of their own, and read
         # each in place of its base where that pays.
         shown = texels.gbuffer.isovalue
+        tiles = shot.tiles
         make = partial(find_distances, texels, self.prepared, tiles)
-        distances = self._kept.get((Distances, surface_key(view)), make)
+        distances = self._kept.get((Distances, surface_key(shot.view)), make)
         loader = caches.projected(shown)
         with held_chunks(loader, texels.chunks) as held:
             if held is None:
                 yield base
             else:
-                projected = read_texels(
-                    texels, held.slots, loader.pool, Until(base.target, base.enough), tiles
-                )
+                projected = read_texels(texels, held.slots, loader.pool, base.goal, tiles)
                 yield join_readings(base, projected, distances, loader.pool)
 
-    def _texel_normals(
-        self, view: View, texels: ViewTexels, reading: Reading, tiles: Tiles
-    ) -> np.ndarray:
-        """Return the normals that a view's texels are lit about; if none of them has light,
-        normals of nearby surface points do.
+    def _texel_normals(self, texels: ViewTexels, reading: Reading, shot: Shot) -> np.ndarray:
+        """Return the normals that the texels of a ``shot`` are lit about; if none of them has
+        light, normals of nearby surface points do.
         """
+        tiles = shot.tiles
         if reading.unbaked:
             return nearby_normals(texels, tiles)
         make = partial(find_texel_normals, texels, self.normals, self.prepared, tiles)
-        normals = self._kept.get((TexelNormals, surface_key(view), texels.coarse), make)
+        normals = self._kept.get((TexelNormals, surface_key(shot.view), texels.coarse), make)
         return normals.where(reading.on_surface, texels, self.prepared, tiles)

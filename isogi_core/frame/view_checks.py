@@ -3,15 +3,15 @@ the work that is left.
 """
 
 import math
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from isogi_core.bake.noise import RATE, Until
+from isogi_core.bake.noise import RATE, Goal
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import surface_key
-from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.control_pixels import CONTROLS_IF_MISSED, paths_for
 from isogi_core.frame.rays.own_light import foreseen_paths
 from isogi_core.frame.rays.picture_check import PictureCheck
@@ -19,9 +19,9 @@ from isogi_core.frame.rays.picture_plan import AWAITED, Prices, rungs_above
 from isogi_core.frame.rays.picture_state import PictureState
 from isogi_core.frame.refinement import Refinement
 from isogi_core.frame.shading import texel_disagreement
+from isogi_core.frame.shot import Shot
 from isogi_core.frame.texel_reading import Reading
 from isogi_core.frame.texel_shading import TexelShading
-from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.lru_cache import LruCache
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.view import View
@@ -61,26 +61,21 @@ class ViewChecks(Refinement[PictureCheck]):
         self._kept = kept
         self._texels = texels
 
-    def check(self, light: RotatedLight, target: float) -> PictureCheck:
-        """Return the check of the picture of a view, or begin one."""
+    def of(self, shot: Shot) -> PictureCheck:
+        """Return the check of the picture of a ``shot``, kept or begun now: see ``Refinement``."""
+        target = shot.goal.error
         return self._kept.get(
-            check_key(light.view, target), lambda: PictureCheck(light, PictureState(target))
+            check_key(shot.view, target), lambda: PictureCheck(shot.light, PictureState(target))
         )
 
-    def of(self, frame: Frame, light: RotatedLight, target: float, tiles: Tiles) -> PictureCheck:
-        """Return the check of the picture in a ``frame``: see ``Refinement``."""
-        return self.check(light, target)
-
-    def advance(
-        self, found: PictureCheck, frame: Frame, target: float, tiles: Tiles, prices: Prices
-    ) -> bool:
+    def advance(self, found: PictureCheck, frame: Frame, shot: Shot, prices: Prices) -> bool:
         """Take one step of the check ``found``: see ``Refinement``."""
         # Pixels whose light grows were chosen before: nothing is drawn by the uncertainty then.
         if found.growing:
             uncertainty = found.known.uncertainty
         else:
-            uncertainty = self._uncertainty(frame, found, tiles)
-        return found.advance(frame, uncertainty, tiles, prices)
+            uncertainty = self._uncertainty(frame, found, shot)
+        return found.advance(frame, uncertainty, shot.tiles, prices)
 
     def held(self, view: View, target: float) -> PictureCheck | None:
         """Return the check of a view's picture; None if there is none."""
@@ -88,21 +83,21 @@ class ViewChecks(Refinement[PictureCheck]):
             return self._kept.held(check_key(view, target))
         return None
 
-    def _uncertainty(self, frame: Frame, check: PictureCheck, tiles: Tiles) -> np.ndarray:
+    def _uncertainty(self, frame: Frame, check: PictureCheck, shot: Shot) -> np.ndarray:
         """Return the uncertain luminance of each surface point: the spread of the texels around
         it, and its noise; (m,).
         """
-        light = check.light
+        light = shot.light
         known = check.known
-        texels = self._texels.under(light.view, frame.gbuffer, tiles)
-        found = self._texels.lit(
-            texels, light, Until(known.target, known.enough), tiles, Stopwatch()
-        )
+        # Read the texels that the picture shows, with the samples that its check asks for.
+        goal = Goal(known.target, known.enough)
+        texels = self._texels.under(shot.view, shot.gbuffer, shot.tiles)
+        found = self._texels.lit(texels, replace(shot, goal=goal))
         # Where texels around a point differ, light between them is uncertain. Light that was traced
         # for a pixel itself is not.
         between = light.spec.unit * texel_disagreement(texels, *found)
         if light.coloured:
-            between *= light.tints(frame.gbuffer, tiles) @ LUMINANCE_WEIGHTS
+            between *= light.tints(shot.gbuffer, shot.tiles) @ LUMINANCE_WEIGHTS
         between[known.own.places] = 0.0
         return np.asarray(np.hypot(between, frame.pixel_noise))
 
@@ -141,19 +136,19 @@ class ViewChecks(Refinement[PictureCheck]):
     @staticmethod
     def foreseen(frame: Frame, target: float) -> PathsLeft:
         """Return the paths that a ``frame`` is foreseen to take, before it was measured."""
-        if frame.quality.target is None or frame.quality.lacking is None:
+        if frame.target is None or frame.quality.lacking is None:
             return PathsLeft()
         return foreseen_work(frame, frame.quality.lacking.reading, target)
 
 
-def texels_until(until: Until, view: View, known: PictureState | None) -> Until:
-    """Return when texels of a ``view`` count as final: if the picture is checked, once they
-    have the samples that its check wants; else, as for vicinity shading, once each has reached
-    the target alone.
+def goal_of_texels(goal: Goal, view: View, known: PictureState | None) -> Goal:
+    """Return the goal of the texels of a ``view`` whose picture has a ``goal``: if the picture is
+    checked, the samples that its check wants; else, as for vicinity shading, each must reach the
+    error alone.
     """
     if view.shading != "gi":
-        return Until(until.target)
-    return Until(until.target, max(until.enough, known.enough if known else 0))
+        return Goal(goal.error)
+    return Goal(goal.error, max(goal.samples, known.enough if known else 0))
 
 
 def foreseen_work(frame: Frame, reading: Reading, target: float) -> PathsLeft:

@@ -51,9 +51,10 @@ def check_writable(output: Path, size: int) -> None:
 
 
 def write_whole(path: Path, data: bytes) -> None:
-    """Write ``data`` to the file ``path``.
+    """Write ``data`` to the file ``path``, in place of a former one. Raises OSError.
 
-    A reader sees the former file or the new one, never a part of it.
+    A reader sees the former file or the new one, never a part of it. The data are not forced to the
+    disk, so a loss of power may damage the file.
     """
     with partial_file(path, data) as written:
         os.replace(written, path)
@@ -83,7 +84,9 @@ def whole_folder(path: Path) -> Iterator[Path]:
     """Yield the path of a folder next to ``path``, for the block to create and fill; then rename it
     to ``path``.
 
-    If the block fails, the folder is deleted.
+    If the block fails, the folder is deleted. Its name is always the same, and a folder that was
+    left there is deleted first: only one process at a time may write to ``path``. Raises OSError if
+    ``path`` is a file, or a folder that is not empty.
     """
     partial = path.with_name(f"{path.name}{PARTIAL_SUFFIX}")
     shutil.rmtree(partial, ignore_errors=True)
@@ -95,7 +98,9 @@ def whole_folder(path: Path) -> Iterator[Path]:
 
 
 def sync_folder(folder: Path) -> None:
-    """Write the names in a folder to the disk, so that they survive a loss of power."""
+    """Force the names of the files in a ``folder`` to the disk, so that new and renamed files
+    survive a loss of power. Raises OSError.
+    """
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)

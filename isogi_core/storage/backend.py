@@ -96,8 +96,8 @@ class StoredObject:
 
 
 class Entry(NamedTuple):
-    """An object in a listing: key, size in bytes, and time of writing by the store's calendar, NaN
-    if unknown.
+    """An object in a listing: key, size in bytes, and time of writing by the store's calendar, in
+    seconds since 1970 (UTC), NaN if unknown.
 
     Ages serve display and cleaning up. They never decide which writer may write.
     """
@@ -107,7 +107,9 @@ class Entry(NamedTuple):
     written: float
 
     def age(self, now: float) -> float:
-        """Return the seconds since the object was written."""
+        """Return the seconds between the writing of the object and ``now``, in seconds since 1970;
+        NaN if the former is unknown.
+        """
         return now - self.written
 
 

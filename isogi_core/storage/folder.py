@@ -138,7 +138,11 @@ class Folder:
             return []
 
     def keys(self, folder: str) -> Iterator[str]:
-        """List the keys of all objects under ``folder``, without half-written ones."""
+        """List the keys of all objects under ``folder``, without half-written ones, in no fixed
+        order.
+
+        A folder that is missing or cannot be read counts as empty.
+        """
         for base, _, files in os.walk(self.path / folder):
             for name in files:
                 if not name.endswith(PARTIAL_SUFFIX):
@@ -161,9 +165,9 @@ class Folder:
             os.replace(self.path / key, self.path / to)
 
     def check_writable(self, data: bytes) -> None:
-        """Raise the error that a write would raise.
+        """Raise the error that a write would raise, by writing TRIAL_OBJECT and deleting it again.
 
-        The file that is written for this is deleted again.
+        ``data`` is ignored: unlike the short sentinel, TRIAL_OBJECT shows if the disk is full.
         """
         with partial_file(self.path / "probe", TRIAL_OBJECT):
             pass
@@ -180,7 +184,10 @@ def open_descriptor(path: Path, flags: int) -> Iterator[int]:
 
 
 class FileSystem:
-    """Objects under a store URL that Zarr opens, such as those of fsspec."""
+    """Objects under a store URL that Zarr opens, such as those of fsspec.
+
+    Methods raise the errors of that file system, of many kinds. Objects have no tags.
+    """
 
     def __init__(self, store_url: StoreUrl, sentinel: str) -> None:
         """Open the store as Zarr does."""
@@ -188,16 +195,20 @@ class FileSystem:
         self._store: Store = sync(make_store(store_url.url, mode="a"))
 
     def get(self, key: str, known: StoredObject | None = None) -> StoredObject | None:
-        """Read an object; None if there is none."""
+        """Read an object; None if there is none.
+
+        ``known`` is ignored: without tags, the store cannot say that an object is unchanged.
+        """
         stored = sync(self._store.get(key, default_buffer_prototype()))
         if stored is None:
             return None
         return StoredObject(stored.to_bytes())
 
     def put(self, key: str, data: bytes, former: StoredObject | None) -> None:
-        """Write an object.
+        """Write an object in place of ``former``.
 
-        Raises ChangedError if another is found right before; a later one is overwritten.
+        Raises ChangedError if there is another object than ``former``. The check and the write are
+        separate calls: an object that is written between them is lost.
         """
         if self.get(key) != former:
             raise ChangedError(f"Another writer has changed {key} meanwhile: read it again.")
@@ -212,8 +223,10 @@ class FileSystem:
         sync(self._store.delete(key))
 
     def folders(self, folder: str) -> list[str]:
-        """List the names of the folders right under ``folder``;
-        names with a dot are objects here.
+        """List the names of the folders right under ``folder``.
+
+        Zarr lists objects and folders alike. Those with a dot in their names, such as zarr.json,
+        are taken for objects, all others for folders.
         """
         names = {name.partition("/")[0] for name in sync(listed(self._store.list_dir(folder)))}
         return sorted(name for name in names if "." not in name)

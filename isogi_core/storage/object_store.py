@@ -165,7 +165,10 @@ class Bucket:
                 yield from (each["path"] for each in page)
 
     def entries(self) -> Iterator[Entry]:
-        """List all objects, page by page."""
+        """List all objects, page by page, in no fixed order.
+
+        A bucket never lists half-written ones.
+        """
         with self._translated_errors():
             for page in self._obstore.list(self._store):
                 yield from (
@@ -183,9 +186,14 @@ class Bucket:
             self._obstore.delete(self._store, key)
 
     def check_writable(self, data: bytes) -> None:
-        """Write the sentinel once more, unchanged: there is nothing to delete afterwards."""
+        """Raise the error that a write would raise, by writing the sentinel once more.
+
+        ``data`` is the sentinel's content, so it is not changed, and nothing need be deleted
+        afterwards. Without a sentinel nothing is written, and no error is raised.
+        """
         found = self.get(self.sentinel)
         if found is not None:
+            # If another process has written the sentinel meanwhile, the bucket takes writes.
             with suppress(ChangedError):
                 self.put(self.sentinel, data, found)
 

@@ -120,6 +120,7 @@ class Store:
         self._without_sentinel = False
         self._away: StoreAwayError | None = None
         self._checked_until = -1.0
+        # Time at which ``only_read`` last tested for writing.
         self._tried = 0.0
         self._lock = threading.RLock()
         self._opening = threading.Lock()
@@ -243,12 +244,16 @@ class Store:
             yield from self._backend.keys(layer)
 
     def check_reachable(self) -> None:
-        """Raise StoreAwayError unless the sentinel can be read; a check stands for CHECKED seconds.
+        """Raise StoreAwayError if the sentinel cannot be read, and StoreError if it is damaged or
+        of another format; a check stands for CHECKED seconds.
 
-        While one thread checks a store that was away, other threads get the former error without
-        waiting. If the store is remote and does not answer soon, so does the thread that asked.
+        While one thread checks a store that was away, other threads get the error of the check
+        before, without waiting. If the store is remote and does not answer within CHECK_SECONDS,
+        the thread that asked gets that error, too. A read-only place that never had a sentinel
+        passes.
         """
-        # A remote store that was away is checked by a thread, as a call may take seconds.
+        # A remote store that was away is checked by a thread, as a call may take seconds. Raise a
+        # new error each time: raising adds a traceback, so threads must not share one.
         away = self._away
         if away is not None and self.url.remote:
             self._check_in_thread()
@@ -310,7 +315,8 @@ class Store:
     def only_read(self) -> bool:
         """Return True if the store is read-only.
 
-        A store that was is tested again every WRITE_RETRY_SECONDS.
+        If it was so at the last test, and this method has not tested it for WRITE_RETRY_SECONDS,
+        test it now, which takes a call to the store. If the test fails, no error is raised.
         """
         if self.read_only and self._clock() >= self._tried + WRITE_RETRY_SECONDS:
             self._tried = self._clock()
@@ -319,8 +325,10 @@ class Store:
         return self.read_only
 
     def _check_in_thread(self) -> None:
-        """Start a thread that checks the store, unless one is running
-        or the last check still stands, and wait CHECK_SECONDS for it.
+        """Start a thread that checks the store and notes the result, and wait for it, at most for
+        CHECK_SECONDS.
+
+        If such a thread is running already, or the last check still stands, return immediately.
         """
         with self._opening:
             if self._clock() < self._checked_until or (
@@ -343,7 +351,10 @@ class Store:
 
     @property
     def _backend(self) -> Backend:
-        """The backend, made on first use, as that may load a library."""
+        """The backend, made on first use, as that may load a library.
+
+        Raises StoreError if the library is missing, or if it rejects the URL.
+        """
         with self._opening:
             if self._made is None:
                 self._made = CountedBackend(backend_at(self.url), self.calls)

@@ -5,11 +5,12 @@ from __future__ import annotations
 import asyncio
 import threading
 from collections.abc import Callable, Iterable
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import TypeVar
+from uuid import NAMESPACE_URL, uuid5
 
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.files.light_files import WRITERS
@@ -21,7 +22,7 @@ from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from server.api.prewarm_jobs import Prewarm, finish_thread, lower_priority
 from server.api.service import Service
-from server.errors import ForbiddenError
+from server.errors import ForbiddenError, UnknownJobError
 from server.exports.lit_files import (
     check_coefficients,
     check_lattice,
@@ -54,12 +55,17 @@ EXPORT_BYTES = 64 << 20
 
 
 def begin(
-    service: Service, scene: Scene, params: ExportParams, client: tuple[str, str] = ("", "")
+    service: Service,
+    scene: Scene,
+    params: ExportParams,
+    client: tuple[str, str] = ("", ""),
+    request_key: str | None = None,
 ) -> Job:
     """Start the job that makes a file of a scene; ``client`` is its owner and address.
 
-    Raises BusyError, ViewError, SceneError if the scene does not fit the format, and ForbiddenError
-    for a volume if the server does not hand out voxels.
+    A request that its client repeats under the same ``request_key`` is not carried out again: its
+    job is returned, also if it has ended. Raises BusyError, ViewError, SceneError if the scene does
+    not fit the format, and ForbiddenError for a volume if the server does not hand out voxels.
     """
     # The formats of WRITERS hold the whole lattice, the others only a mesh of the surface.
     if f".{params.f}" in WRITERS and not service.settings.hands_out_voxels:
@@ -71,9 +77,16 @@ def begin(
         check_lattice(scene)
     if params.coefficients == "on":
         check_coefficients(scene, f".{params.f}")
+    # Keys of different clients, and of different exports, are never the same.
+    key = None
+    if request_key is not None:
+        named = (client[0], request_key, scene.id, params.model_dump_json())
+        key = str(uuid5(NAMESPACE_URL, repr(named)))
+        with suppress(UnknownJobError):
+            return service.jobs.find(key)
     export = Export(service, scene, params, view, client[0])
     title = f"An export of {service.engine.variant(scene.id).base}"
-    return service.jobs.begin("export", title, export.work, client=client)
+    return service.jobs.begin("export", title, export.work, key, client)
 
 
 def media_type(file: Path) -> str:

@@ -74,7 +74,7 @@ def frame_headers(
         projected = {}
     else:
         projected = {"Isogi-Projected": projection_header(projection.shares)}
-    if frame.quality.fineness or frame.quality.own:
+    if frame.quality.fineness or frame.traced_pixels:
         refined = {"Isogi-Refined": refined_header(frame)}
     else:
         refined = {}
@@ -127,7 +127,7 @@ def refined_header(frame: Frame) -> str:
     """
     return (
         f"texels={FINER_FACTOR**frame.quality.fineness:g}, "
-        f"pixels={frame.quality.own / max(frame.surface, 1):.3f}"
+        f"pixels={frame.traced_pixels / max(frame.surface, 1):.3f}"
     )
 
 

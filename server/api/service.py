@@ -32,6 +32,7 @@ from server.errors import ForbiddenError, StartingError, UnknownJobError, Unknow
 from server.parameters import LightParams, VariantParams, ViewParams
 from server.render.engine import RenderEngine
 from server.render.jobs import ExportFolder, Job, Jobs
+from server.render.picture_checks import CHECK
 from server.render.scene_variant import Change
 from server.render.scheduling import (
     DRAFT,
@@ -473,7 +474,8 @@ class Service:
                     if not shown.coming or left <= 0:
                         made = partial(finish, shown)
                         return await self.threads.of(picture.view).run(made, rank)
-                    coming = shown.coming
+                    # If light is coming, wait for no check of the picture as it is without it.
+                    coming = shown.coming - {CHECK} or shown.coming
                     since = shown.since
                     del shown  # Free megabytes while light is baked.
                 finally:

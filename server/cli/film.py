@@ -1,9 +1,8 @@
 """``isogi film``: the frames of a film as pictures in a folder, or as a movie.
 
-Pillow writes GIF and WebP, FFmpeg writes MP4 and WebM.
+FFmpeg writes MP4 and WebM; GIF and WebP need only Pillow.
 """
 
-import io
 import os
 import shutil
 import subprocess
@@ -13,13 +12,12 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from PIL import Image
-
 from isogi_core.errors import ViewError
 from isogi_core.plan.scene import Scene
-from isogi_core.storage.atomic_file import check_folder, write_whole
+from isogi_core.storage.atomic_file import check_folder
 from server.answers import defaults
 from server.cli.film_path import film_path, steps_in, view_in, views_in
+from server.cli.loops import WRITERS, write_loop
 from server.cli.reel import Reel, ReelRequest, quality_line
 from server.cli.render import is_placed
 from server.errors import LibraryError, ParameterError
@@ -35,12 +33,6 @@ MOST_FRAMES = 100_000
 
 FRAME_FILE_NAME = "frame-%05d.png"
 """File names of a film's pictures, numbered from 1."""
-
-LOOPS: dict[str, dict[str, Any]] = {
-    ".gif": {"optimize": False},
-    ".webp": {"quality": 85, "method": 4},
-}
-"""Movie formats that Pillow writes, with its options."""
 
 MOVIE_CODECS = {
     ".mp4": ("-c:v", "libx264", "-crf", "16", "-preset", "slow", "-movflags", "+faststart"),
@@ -200,8 +192,8 @@ def check_movie(output: Path, width: int, height: int) -> None:
             raise ViewError(
                 f"A {suffix} needs even width and height, not {width} × {height}: change them."
             )
-    elif suffix not in LOOPS:
-        known = ", ".join((*LOOPS, *MOVIE_CODECS))
+    elif suffix not in WRITERS:
+        known = ", ".join((*WRITERS, *MOVIE_CODECS))
         raise ViewError(
             f"{output} names no kind of film: end it in {known}, or name a folder for pictures."
         )
@@ -210,23 +202,12 @@ def check_movie(output: Path, width: int, height: int) -> None:
 def write_movie(output: Path, pictures: Sequence[Path], fps: float) -> None:
     """Write pictures, in the order of their files, to a movie. Raises LibraryError and OSError."""
     suffix = output.suffix.lower()
-    if suffix in LOOPS:
-        first, *others = (Image.open(path) for path in pictures)
-        data = io.BytesIO()
-        frame = round(1000.0 / fps)
-        first.save(
-            data,
-            suffix[1:],
-            save_all=True,
-            append_images=others,
-            duration=frame,
-            loop=0,
-            **LOOPS[suffix],
-        )
-        write_whole(output, data.getvalue())
-        return
     # Write to another file first, so that the output is complete or missing.
     half = pictures[0].with_name(f"movie{suffix}")
+    if suffix in WRITERS:
+        write_loop(half, pictures, round(1000.0 / fps))
+        os.replace(half, output)
+        return
     reading = ["-framerate", f"{fps:g}", "-i", str(pictures[0].with_name(FRAME_FILE_NAME))]
     command = [
         encoder(suffix),

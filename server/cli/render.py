@@ -181,7 +181,7 @@ def stopped_by(frame: Frame) -> str:
         return "target"
     if frame.view.shading == "path_traced":
         return "samples"
-    if frame.quality.given_up and not frame.provisional:
+    if frame.given_up and not frame.provisional:
         return "paths"
     return "time"
 

@@ -18,7 +18,7 @@ SIGNALS = (signal.SIGTERM, signal.SIGINT)
 
 def leave() -> None:
     """Kill all child processes, which may still be starting, release semaphores that Python
-    would report as leaked, and exit.
+    would report as leaked, remove the folder of the fork server's socket, and exit.
     """
     import psutil  # noqa: PLC0415 (other commands start without it)
 
@@ -29,7 +29,7 @@ def leave() -> None:
             if each.pid != tracker:
                 with suppress(psutil.Error):
                     each.kill()
-        _run_finalizers(0)
+        _run_finalizers()
     finally:
         os._exit(0)
 

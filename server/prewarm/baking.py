@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from isogi_core.bake.bake_spec import BakeSpec
-from isogi_core.bake.noise import Effort, Until, relative_error
+from isogi_core.bake.noise import Effort, Goal, relative_error
 from isogi_core.bake.refine import refine
 from isogi_core.bake.texel_light import FIRST_LEVEL, Light
 from isogi_core.cache.chunk_record import Chunk
@@ -154,7 +154,7 @@ class PrewarmContext:
 
     def bake_of(self, batch: Batch, demands: Iterable[Demand]) -> tuple[str, Stage]:
         """Return the name of the bake of a batch, and a stage with these ``demands`` of it."""
-        stage = Stage(tuple(demands), self.target, batch.enough, batch.caches)
+        stage = Stage(tuple(demands), Goal(self.target, batch.enough), batch.caches)
         return self.engine.bake_at(self.scene.id, "gi", stage, batch.fineness), stage
 
     @property
@@ -355,9 +355,9 @@ and those for which it was ready but had no core.
 
 
 def rehearse(
-    renderer: Renderer, demand: Demand, until: Until, most: float, cancelled: threading.Event
+    renderer: Renderer, demand: Demand, goal: Goal, most: float, cancelled: threading.Event
 ) -> ChunkCost:
-    """Bake a chunk's texels to ``until`` without keeping their light, and return the measured cost.
+    """Bake a chunk's texels to a ``goal`` without keeping their light; return the measured cost.
 
     After ``most`` seconds, or once ``cancelled`` is set, the cost of the rest is extrapolated by
     paths.
@@ -375,10 +375,10 @@ def rehearse(
     begun = ready_time()
     processor = time.thread_time()
     tasks, paths = do_tasks(
-        light, texels, spec, demand, until, (time.perf_counter() + most, cancelled)
+        light, texels, spec, demand, goal, (time.perf_counter() + most, cancelled)
     )
     # If they ended early, the paths left cost as much as those taken.
-    more = 1.0 + Effort.of(relative_error(light, spec), light.samples, *until).left / max(paths, 1)
+    more = 1.0 + Effort.of(relative_error(light, spec), light.samples, *goal).left / max(paths, 1)
     seconds = ready_time() - begun
     processor = time.thread_time() - processor
     chunk.light.put(rows, light)
@@ -407,7 +407,7 @@ def do_tasks(
     texels: np.ndarray,
     spec: BakeSpec,
     demand: Demand,
-    until: Until,
+    goal: Goal,
     limit: tuple[float, threading.Event],
 ) -> tuple[int, int]:
     """Do the tasks of a chunk to its ``light``, in place, as the queue would. Return their number,
@@ -429,8 +429,8 @@ def do_tasks(
             demand.offsets,
             demand.footprints,
             next_until(effort),
-            until.target,
-            enough=until.enough,
+            goal.error,
+            enough=goal.samples,
         )
         before = light.samples
         since = time.thread_time()
@@ -477,12 +477,12 @@ WORKER_START_SECONDS = 1.5
 def forecast(
     renderer: Renderer,
     demands: Sequence[Demand],
-    until: Until,
+    goal: Goal,
     workers: int,
     budget: float,
     cancelled: threading.Event,
 ) -> CostEstimate:
-    """Estimate the cost of baking the ``demands`` to ``until``, within about ``budget`` seconds.
+    """Estimate the cost of baking the ``demands`` to a ``goal``, within about ``budget`` seconds.
 
     As many chunks are rehearsed at a time as there are workers, as these slow each other down in
     the same way.
@@ -494,7 +494,7 @@ def forecast(
     chosen = stratified(demands)
     rehearsals = Rehearsals(budget, cancelled)
     with ThreadPoolExecutor(threads, "rehearsal") as pool:
-        futures = [pool.submit(rehearsals.run, renderer, chosen, until) for _ in range(threads)]
+        futures = [pool.submit(rehearsals.run, renderer, chosen, goal) for _ in range(threads)]
         for future in futures:
             future.result()
     texels = sum(len(demand.offsets) for demand in demands)
@@ -517,13 +517,13 @@ class Rehearsals:
         self._cancelled = cancelled
         self._lock = threading.Lock()
 
-    def run(self, renderer: Renderer, demands: Iterator[Demand], until: Until) -> None:
+    def run(self, renderer: Renderer, demands: Iterator[Demand], goal: Goal) -> None:
         """Rehearse one demand after the other until enough is known.
 
         Several threads may do so at once.
         """
         while not self._enough() and (demand := self._next(demands)):
-            one = rehearse(renderer, demand, until, self._each, self._cancelled)
+            one = rehearse(renderer, demand, goal, self._each, self._cancelled)
             with self._lock:
                 self.all.append(one)
 

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from isogi_core.bake.noise import Effort, Until, relative_error
+from isogi_core.bake.noise import Effort, Goal, relative_error
 from isogi_core.bake.texel_light import FIRST_LEVEL, next_level
 from isogi_core.cache.costs import Cost
 from isogi_core.errors import Cancelled, ViewError
@@ -216,7 +216,7 @@ def wishes_of(frame: Frame) -> Iterator[Wish]:
             side = stage.caches.spec("gi").digest
         else:
             side = ""
-        batch = Batch(stage.shown, stage.enough, coming.quality.fineness, side, stage.caches)
+        batch = Batch(stage.shown, stage.goal.samples, coming.quality.fineness, side, stage.caches)
         yield from ((batch, demand) for demand in stage.demands)
 
 
@@ -524,8 +524,8 @@ def forecast_summary(
     rung = rung_ahead(context, found)
     context.report(Step("Trying", "chunk", 0, len(usual), SURVEY_SHARES[1]))
     workers = context.engine.baker.workers
-    until = Until(context.target, rung)
-    ahead = forecast(context.renderer, usual, until, workers, budget, context.cancelled)
+    goal = Goal(context.target, rung)
+    ahead = forecast(context.renderer, usual, goal, workers, budget, context.cancelled)
     rehearsed = sum(len(demand.offsets) for demand in usual)
     texels = sum(len(demand.offsets) for demand in found.demands.values())
     ahead = ahead.times(texels / max(rehearsed, 1))
@@ -733,10 +733,10 @@ def bake_rung(context: PrewarmContext, found: Survey, rung: int) -> None:
     if not found.demands:
         return
     demands = [demand for _, demand in found.wishes]
-    until = Until(context.target, rung)
+    goal = Goal(context.target, rung)
     workers = context.engine.baker.workers
     # Forecast the time for reports of progress, and bake.
-    ahead = forecast(context.renderer, demands, until, workers, TRIAL_SECONDS, context.cancelled)
+    ahead = forecast(context.renderer, demands, goal, workers, TRIAL_SECONDS, context.cancelled)
     baking = Baking(
         context, found.wishes, Expected(ahead.seconds, 0.0, (0.0, 1.0)), context.deadline
     )

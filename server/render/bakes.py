@@ -114,7 +114,9 @@ class BackgroundBake:
         self._viewer = viewer
         self.bake = bake
         self.chunks = [demand.index for demand in stage.demands]
-        self.coming = baker.request(bake, stage.demands, stage.target, viewer, stage.enough)
+        self.coming = baker.request(
+            bake, stage.demands, stage.goal.error, viewer, stage.goal.samples
+        )
 
     def waiting(self) -> int:
         """Return the number of its ``chunks`` that are neither baked nor given up. Call it now
@@ -140,6 +142,11 @@ MAX_BAKES = 32
 together: the ones asked for last.
 """
 
+MAX_LIT = 1024
+"""Isovalues of scenes that are remembered to have light of walls. One that was forgotten costs a
+look through the store when it is next lit.
+"""
+
 
 class SideBakes:
     """The bakes of projected texels, of finer texels and of surfaces' sides. Safe to use from
@@ -154,9 +161,10 @@ class SideBakes:
         self._store = store
         self._most = most
         self._names: OrderedDict[str, str] = OrderedDict()
+        self._leaving: dict[str, str] = {}
         self._readers = weakref.WeakValueDictionary[str, Caches]()
-        self._lit: set[tuple[str, float]] = set()
-        self._lock = threading.Lock()
+        self._lit: OrderedDict[tuple[str, float], None] = OrderedDict()
+        self._lock = threading.Condition()
         self._trimmer: threading.Thread | None = None
 
     def name(
@@ -204,15 +212,15 @@ class SideBakes:
         A new isosurface of projected texels takes space in the store, so it is trimmed.
         """
         with self._lock:
+            # A former bake of this name is dropped before the next one is added.
+            self._lock.wait_for(lambda: name not in self._leaving)
             new = name not in self._names
             if new:
                 self._baker.add(name, make())
             self._names[name] = base
             self._names.move_to_end(name)
-            old = [self._names.popitem(last=False)[0] for _ in range(len(self._names) - MAX_BAKES)]
-        # Call the baker without the lock, as it calls listeners.
-        for each in old:
-            self._baker.forget(each)
+            old = self._leave(list(self._names)[: max(len(self._names) - MAX_BAKES, 0)])
+        self._forget(old)
         if new and shown is not None:
             self._trim()
         return name
@@ -221,8 +229,13 @@ class SideBakes:
         """Note that the walls of a scene have light for an isovalue, and trim the store if that
         is new.
         """
-        if (scene, isovalue) not in self._lit:
-            self._lit.add((scene, isovalue))
+        with self._lock:
+            new = (scene, isovalue) not in self._lit
+            self._lit[scene, isovalue] = None
+            self._lit.move_to_end((scene, isovalue))
+            if len(self._lit) > MAX_LIT:
+                self._lit.popitem(last=False)
+        if new:
             self._trim()
 
     def _trim(self) -> None:
@@ -244,14 +257,34 @@ class SideBakes:
         """Return the name of the scene's bake that views read together with a ``bake`` of this
         class; any other bake's name is returned as it is.
         """
-        return self._names.get(bake, bake)
+        return self._names.get(bake) or self._leaving.get(bake, bake)
 
     def forget(self, scene: str) -> None:
         """Drop all bakes of a scene that this object has added."""
         with self._lock:
             every = {bake_name(scene, spec) for spec in SPECS}
-            gone = [name for name, base in self._names.items() if base in every]
-            for name in gone:
-                del self._names[name]
-        for name in gone:
-            self._baker.forget(name)
+            gone = self._leave([name for name, base in self._names.items() if base in every])
+            for each in [each for each in self._lit if each[0] == scene]:
+                del self._lit[each]
+        self._forget(gone)
+
+    def _leave(self, names: list[str]) -> list[str]:
+        """Note that the bakes of these ``names`` are about to be dropped, and return the names.
+        The caller holds the lock.
+        """
+        for name in names:
+            self._leaving[name] = self._names[name]
+            del self._names[name]
+        return names
+
+    def _forget(self, names: list[str]) -> None:
+        """Drop bakes, without the lock, as the baker calls listeners: these still find the scene
+        of each name, so that requests that wait for its light hear that it does not come.
+        """
+        for name in names:
+            try:
+                self._baker.forget(name)
+            finally:
+                with self._lock:
+                    del self._leaving[name]
+                    self._lock.notify_all()

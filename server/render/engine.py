@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from isogi_core.bake.bake_spec import SPECS, spec_name
+from isogi_core.bake.noise import Goal
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache.chunk_store import default_store
 from isogi_core.cache.costs import Cost
@@ -40,7 +41,7 @@ from server.render.bakes import (
 )
 from server.render.engine_workers import EngineWorkers, scheduler_of
 from server.render.loaded_scene import LoadedScene, LoadedScenes, load_scene_parts, shared
-from server.render.picture_checks import CHECK, PictureChecks
+from server.render.picture_checks import CHECK, LIGHT_PATIENCE_SECONDS, PictureChecks
 from server.render.scene_kernels import SceneKernels
 from server.render.scene_variant import SceneVariant
 from server.render.stores import root_of, whereabouts
@@ -375,7 +376,10 @@ class RenderEngine:
         """
         checking = frozenset({CHECK} if frame.refinable else ())
         if checking:
-            self._checks.request(scene, frame.view, target, viewer)
+            # A picture with a part of its light is measured only if the rest takes its time.
+            waits = frame.unmeasured and not self.store.only_read()
+            delay = LIGHT_PATIENCE_SECONDS if waits else 0.0
+            self._checks.request(scene, frame.view, target, viewer, delay)
         else:
             self._checks.leave(viewer)
         # A picture that is checked needs no texels now, and a store that is only read takes none.
@@ -384,7 +388,7 @@ class RenderEngine:
         self._find(scene)
         bake, stage = self.lacking(scene, frame)
         return checking | self.baker.request(
-            bake, stage.demands, stage.target, viewer, stage.enough
+            bake, stage.demands, stage.goal.error, viewer, stage.goal.samples
         )
 
     def lacking(self, scene: str, frame: Frame) -> tuple[str, Stage]:
@@ -395,7 +399,7 @@ class RenderEngine:
         empty for a path-traced frame, which needs no texels.
         """
         frame = frame.quality.finer or frame
-        stage = next(iter(frame.stages), Stage((), self.planned(scene).target_error))
+        stage = next(iter(frame.stages), Stage((), Goal(self.planned(scene).target_error)))
         spec = spec_name(frame.view.shading)
         return self.bake_at(scene, spec, stage, frame.quality.fineness), stage
 

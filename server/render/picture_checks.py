@@ -2,6 +2,7 @@
 
 import logging
 import threading
+import time
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -19,17 +20,23 @@ CHECK: Index = (-1, -1, -1)
 MAX_WAITING_PICTURES = 64
 """Pictures that wait for their check at most. If there are more, the oldest request is dropped."""
 
+LIGHT_PATIENCE_SECONDS = 2.0
+"""Time for which a picture with a part of its light waits for the rest before control pixels
+measure it as it is: their paths would take processors from workers, and delay the whole picture.
+"""
+
 
 @dataclass(frozen=True)
 class Picture:
     """A view of a scene whose total error is to reach a ``target``. ``cancelled`` is set once
-    no viewer wants it.
+    no viewer wants it. Steps are taken from the time ``due`` on, in seconds of the steady clock.
     """
 
     scene: str
     view: View
     target: float
     cancelled: threading.Event = field(default_factory=threading.Event, compare=False)
+    due: float = field(default=0.0, compare=False)
 
 
 Step = Callable[[str, View, float, threading.Event], bool]
@@ -54,13 +61,16 @@ class PictureChecks:
         self._closed = False
         self._thread: threading.Thread | None = None
 
-    def request(self, scene: str, view: View, target: float, viewer: Viewer) -> None:
-        """Have a picture checked for a ``viewer``, in place of the picture that it looked at
-        before.
+    def request(
+        self, scene: str, view: View, target: float, viewer: Viewer, delay: float = 0.0
+    ) -> None:
+        """Have a picture checked for a ``viewer`` after ``delay`` seconds, in place of the picture
+        that it looked at before. Asked for again, a picture keeps the earlier time.
         """
         with self._changed:
-            picture = Picture(scene, view, target)
-            if self._closed or self._wanted.get(viewer) == picture:
+            picture = Picture(scene, view, target, due=time.monotonic() + delay)
+            former = self._wanted.get(viewer)
+            if self._closed or (former and former == picture and former.due <= picture.due):
                 return
             self._drop(viewer)
             self._wanted[viewer] = picture
@@ -113,14 +123,19 @@ class PictureChecks:
             self._notify(picture.scene, picture.view, more)
 
     def _next(self) -> tuple[Viewer, Picture] | None:
-        """Return the newest picture that is wanted, with its viewer, once there is one; None if
-        closed.
+        """Return the newest picture that is wanted and due, with its viewer, once there is one;
+        None if closed.
         """
         with self._changed:
-            self._changed.wait_for(lambda: self._wanted or self._closed)
-            if self._closed:
-                return None
-            return next(reversed(self._wanted.items()))
+            while not self._closed:
+                now = time.monotonic()
+                for viewer, picture in reversed(self._wanted.items()):
+                    if picture.due <= now:
+                        return viewer, picture
+                # Sleep until the next picture is due, or until others are asked for.
+                waits = [picture.due - now for picture in self._wanted.values()]
+                self._changed.wait(min(waits, default=None))
+            return None
 
     def _done(self, viewer: Viewer, picture: Picture) -> None:
         """Forget a picture that needs no further step, unless its viewer has asked for another

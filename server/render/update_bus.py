@@ -3,11 +3,20 @@
 from __future__ import annotations
 
 import asyncio
+from collections import OrderedDict
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 from isogi_core.prepared.prepared_scene import Index
+
+MOST_UPDATES = 100_000
+"""Chunks whose last update is remembered, of all bakes together: some 30 MB. Requests ask for
+those of the moments since their picture was drawn.
+"""
+
+MOST_BAKES = 1000
+"""Bakes whose newest update is remembered."""
 
 
 @dataclass(eq=False)
@@ -55,8 +64,10 @@ class UpdateBus:
     def __init__(self) -> None:
         self._loop = asyncio.get_running_loop()
         self._count = 0
-        self._last: dict[tuple[str, Index], tuple[int, bool]] = {}
-        self._newest: dict[str, int] = {}
+        self._last: OrderedDict[tuple[str, Index], tuple[int, bool]] = OrderedDict()
+        self._forgotten = 0
+        self._newest: OrderedDict[str, int] = OrderedDict()
+        self._bakes_forgotten = 0
         self._pending: set[Pending] = set()
 
     def publish(self, bake: str, index: Index, more: bool) -> None:
@@ -67,8 +78,10 @@ class UpdateBus:
             self._loop.call_soon_threadsafe(self._note, bake, index, more)
 
     def newest(self, bake: str) -> int:
-        """Return the number of the newest update of a bake; 0 if it had none."""
-        return self._newest.get(bake, 0)
+        """Return the number of the newest update of a bake; 0 if it had none. Of a bake that had
+        none for long it is the number of a later update of another bake.
+        """
+        return self._newest.get(bake, self._bakes_forgotten)
 
     @contextmanager
     def pending(
@@ -77,12 +90,13 @@ class UpdateBus:
         """Watch ``chunks`` of a bake, some of which are ``dark``, for the block.
 
         Updates with numbers above ``since`` count, also those that came before this call: a frame
-        drawn at update ``since`` misses none.
+        drawn at update ``since`` misses none. If it is so old that updates since then are
+        forgotten, all chunks count as updated: who waits draws again, and sees.
         """
         pending = Pending(bake, set(chunks), set(dark))
         # Catch up with the updates since the frame was drawn.
         for index in chunks:
-            number, more = self._last.get((bake, index), (0, True))
+            number, more = self._last.get((bake, index), (self._forgotten, False))
             if number > since:
                 pending.note(index, more)
         self._pending.add(pending)
@@ -94,8 +108,15 @@ class UpdateBus:
     def _note(self, bake: str, index: Index, more: bool) -> None:
         """Number an update, and pass it on to those that watch its bake."""
         self._count += 1
-        self._newest[bake] = self._count
         self._last[bake, index] = self._count, more
+        self._last.move_to_end((bake, index))
+        self._newest[bake] = self._count
+        self._newest.move_to_end(bake)
+        # Forget the oldest: bakes come and go with each cut and isovalue.
+        if len(self._last) > MOST_UPDATES:
+            _, (self._forgotten, _) = self._last.popitem(last=False)
+        if len(self._newest) > MOST_BAKES:
+            _, self._bakes_forgotten = self._newest.popitem(last=False)
         for pending in self._pending:
             if pending.bake == bake:
                 pending.note(index, more)

@@ -391,6 +391,22 @@ def test_an_export_is_a_file_and_leaves_no_job(isogi: Isogi, tmp_path: Path) -> 
         isogi.export("small", tmp_path / "a.stl")
 
 
+def test_an_export_that_is_asked_for_again_has_the_same_key(
+    isogi: Isogi, tmp_path: Path, lab: Lab
+) -> None:
+    """So that a server whose answer was lost begins no second job."""
+    for times in (2, 0):
+        lab.faults.refusals = times
+        isogi.export("small", tmp_path / "a.glb", isovalue=0.5, yaw=40)
+    keys = [
+        headers[b"idempotency-key"]
+        for path, headers in lab.faults.asked
+        if path.endswith("/export") and b"idempotency-key" in headers
+    ][-4:]
+    assert len(keys) == 4
+    assert keys[0] == keys[1] == keys[2] != keys[3]
+
+
 def test_a_prewarm_that_is_refused_says_why(isogi: Isogi) -> None:
     with pytest.raises(RefusedError, match="no parameter 'paint'") as caught:
         isogi.prewarm("small", paint=1)

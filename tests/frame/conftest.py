@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from isogi_core.bake.noise import Until
+from isogi_core.bake.noise import Goal
 from isogi_core.bake.refine import refine
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache.scene_caches import Caches, Loader
@@ -139,7 +139,7 @@ def reading_of(bench: Workbench, view: View, tiles: Tiles) -> Reading:
     loader = bench.caches.of(view.shading)
     loader.ensure(texels.chunks)
     with loader.pool.hold(texels.chunks) as held:
-        return read_texels(texels, held.slots, loader.pool, Until(bench.scene.target_error), tiles)
+        return read_texels(texels, held.slots, loader.pool, Goal(bench.scene.target_error), tiles)
 
 
 @pytest.fixture(scope="session")

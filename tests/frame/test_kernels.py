@@ -6,18 +6,13 @@ from typing import Any
 import pytest
 
 from isogi_core.frame.entry_kernels import (
-    AMONG,
-    COLOURED,
     FRAME,
-    GLOW,
     LOBES,
-    MATTER,
     OTHER_KERNELS,
-    ROOM,
-    SHINE_KERNELS,
     frame_kernels,
     other_kernels,
 )
+from isogi_core.frame.features import COLOURS, GLASS, GLOW, SEVERAL_SURFACES, SHINE, WALLS
 from isogi_core.kernels._jit import Entry
 from isogi_core.kernels.shading.irradiance_ratio import carry_ratios
 from isogi_core.kernels.shading.lattice import carry_light
@@ -198,7 +193,7 @@ def test_kernels_are_left_out_by_what_a_scene_lacks() -> None:
 def test_colours_need_kernels_of_their_own() -> None:
     plain = load_scene("demo:orbital", **CONSTANT)
     scene = load_scene("demo:orbital", volumes=[{"use": "colour", "of": "gradient"}], **CONSTANT)
-    assert {*frame_kernels([scene])} - {*frame_kernels([plain])} == {*COLOURED}
+    assert {*frame_kernels([scene])} - {*frame_kernels([plain])} == {*COLOURS.kernels}
     assert {*other_kernels([plain])} - {*OTHER_KERNELS} == {light_in_the_open, fill_seeds}
     assert light_in_room in other_kernels([plain, scene])
 
@@ -206,7 +201,7 @@ def test_colours_need_kernels_of_their_own() -> None:
 def test_glow_needs_kernels_of_its_own() -> None:
     plain = scene_of(CONSTANT)
     scene = scene_of(GLOWING)
-    assert {*frame_kernels([scene])} - {*frame_kernels([plain])} == {*GLOW}
+    assert {*frame_kernels([scene])} - {*frame_kernels([plain])} == {*GLOW.kernels}
     assert {*other_kernels([plain, scene])} - {*OTHER_KERNELS} == {
         glow_in_room,
         light_in_the_open,
@@ -220,10 +215,14 @@ def test_glow_needs_kernels_of_its_own() -> None:
 @pytest.mark.parametrize(
     ("settings", "more", "kernels"),
     [
-        ({}, {"room": "cornell"}, {*ROOM, light_in_room}),
-        ({"room": "cornell"}, {"material": "glass"}, {*MATTER, light_through_matter}),
-        ({}, {"surfaces": [{"isovalue": 0.012, "clear": 0.6}]}, {*AMONG, light_among_surfaces}),
-        ({}, {"shine": {"kind": "plastic"}}, {*SHINE_KERNELS}),
+        ({}, {"room": "cornell"}, {*WALLS.kernels, light_in_room}),
+        ({"room": "cornell"}, {"material": "glass"}, {*GLASS.kernels, light_through_matter}),
+        (
+            {},
+            {"surfaces": [{"isovalue": 0.012, "clear": 0.6}]},
+            {*SEVERAL_SURFACES.kernels, light_among_surfaces},
+        ),
+        ({}, {"shine": {"kind": "plastic"}}, {*SHINE.kernels}),
     ],
     ids=["walls", "matter", "surfaces", "shine"],
 )

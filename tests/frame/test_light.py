@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from isogi_core.bake.noise import Until
+from isogi_core.bake.noise import Goal
 from isogi_core.frame.texel_reading import read_texels
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import FINAL
@@ -230,7 +230,7 @@ def test_buried_texels_under_a_lit_surface_do_not_darken_it(
     pool = bench.caches.of(shading).pool
     with pool.hold(texels.chunks) as held:
         grade = read_texels(
-            texels, held.slots, pool, Until(bench.scene.target_error), Tiles(1)
+            texels, held.slots, pool, Goal(bench.scene.target_error), Tiles(1)
         ).grade
     roof = np.abs(gbuffer.points[:, :2] - 16.0).max(axis=1) < 7.0
     assert (

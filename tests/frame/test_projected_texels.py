@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from isogi_core.bake.noise import Goal
 from isogi_core.cache.scene_caches import Loader
 from isogi_core.errors import StoreError
 from isogi_core.frame import projected_texels as room
@@ -264,5 +265,5 @@ def reading(rng: np.random.Generator, count: int, bounds: np.ndarray) -> Reading
     short = np.minimum.reduceat(grade, bounds[:-1]) < FINAL
     error = rng.random(count).astype(np.float32)
     return Reading(
-        rows, grade, b"", np.full(count, 16, np.int32), error, bounds, short, LOOSE, MAX_SAMPLES
+        rows, grade, b"", np.full(count, 16, np.int32), error, bounds, short, Goal(LOOSE)
     )

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from isogi_core.bake.noise import Goal
 from isogi_core.frame import shading
 from isogi_core.frame.demand import first_texels
 from isogi_core.frame.renderer import Renderer
@@ -50,7 +51,7 @@ def test_grades_part_missing_rough_and_good_light() -> None:
     ]
     rows, error, samples, grades = (np.array(column) for column in zip(*expected, strict=True))
     assert (
-        grade_rows(rows.astype(np.int32), error.astype(np.float32), samples, TARGET).tolist()
+        grade_rows(rows.astype(np.int32), error.astype(np.float32), samples, Goal(TARGET)).tolist()
         == grades.tolist()
     )
 

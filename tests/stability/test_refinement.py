@@ -107,7 +107,7 @@ class Site:
             else:
                 light = caches.projected(stage.shown)
             for demand in stage.demands:
-                refine_chunk(light, rung, stage.target, demand)
+                refine_chunk(light, rung, stage.goal.error, demand)
 
     def steps(self) -> Iterator[Frame]:
         """The first frame of its view, and the frame after each step towards a final one."""

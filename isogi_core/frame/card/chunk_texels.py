@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from isogi_core.bake.noise import Until
+from isogi_core.bake.noise import Goal
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache.page_pool import PagePool
 from isogi_core.cache.scene_caches import Loader
@@ -78,7 +78,7 @@ def hold_texels(
                 tuple(chunks),
                 versions,
                 texels,
-                read_texels(texels, occupied.slots, pool, Until(target, FIRST_LEVEL), tiles),
+                read_texels(texels, occupied.slots, pool, Goal(target, FIRST_LEVEL), tiles),
             ),
             pool,
         )

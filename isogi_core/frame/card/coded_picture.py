@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from isogi_core.bake.noise import Until
+from isogi_core.bake.noise import Goal
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.frame.card.blocks import normals_of, raw_numbers, raw_scale
 from isogi_core.frame.card.coding import Coding
@@ -56,7 +56,7 @@ def draw_coded(renderer: Renderer, view: View, coding: Coding, target: float) ->
     loader.ensure(texels.chunks, tiles.check)
     # Read the numbers that a page would get.
     with loader.pool.hold(texels.chunks) as held:
-        reading = read_texels(texels, held.slots, loader.pool, Until(target, FIRST_LEVEL), tiles)
+        reading = read_texels(texels, held.slots, loader.pool, Goal(target, FIRST_LEVEL), tiles)
         numbers = raw_numbers(reading, loader.pool)
     about = normals_of(renderer, texels, tiles)
     # Encode and decode them, and go on as a card does: light, filter, interpolation, lobes.

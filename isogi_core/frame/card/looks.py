@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from isogi_core.bake.noise import Until
+from isogi_core.bake.noise import Goal
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache.scene_caches import Loader
 from isogi_core.frame.frame import Frame
@@ -68,27 +68,27 @@ def look_at(renderer: Renderer, view: View, target: float, tiles: Tiles) -> Look
     check = renderer.checks.held(view, target)
     loader = renderer.caches.of("gi")
     if check:
-        until = Until(target, check.known.enough)
+        goal = Goal(target, check.known.enough)
     else:
-        until = Until(target, FIRST_LEVEL)
+        goal = Goal(target, FIRST_LEVEL)
     # A kept look is used until one of its chunks has been baked on.
-    known: Look | None = renderer.looks.held((view, until))
+    known: Look | None = renderer.looks.held((view, goal))
     if known is not None and known.is_current(loader, tiles):
         return known
-    renderer.looks.drop((view, until))
-    look = new_look(renderer, view, until, loader, tiles)
+    renderer.looks.drop((view, goal))
+    look = new_look(renderer, view, goal, loader, tiles)
     # Looks at light that is still to be baked change soon, and are not kept.
     if look.frame:
         return look
-    return renderer.looks.get((view, until), lambda: look)
+    return renderer.looks.get((view, goal), lambda: look)
 
 
-def new_look(renderer: Renderer, view: View, until: Until, loader: Loader, tiles: Tiles) -> Look:
+def new_look(renderer: Renderer, view: View, goal: Goal, loader: Loader, tiles: Tiles) -> Look:
     """Find the chunks that a ``view`` reads, by its rays."""
     texels = renderer.texels(view, renderer.gbuffer(view, tiles), tiles)
     loader.ensure(texels.chunks, tiles.check)
     with loader.pool.hold(texels.chunks) as held:
-        reading = read_texels(texels, held.slots, loader.pool, until, tiles)
+        reading = read_texels(texels, held.slots, loader.pool, goal, tiles)
         versions = list(map(loader.pool.version, held.slots.tolist()))
     # Count the pixels that read each chunk.
     read = texels.places[texels.corners].ravel() >> 3 * texels.lattice.bits

@@ -1,8 +1,8 @@
 """Reasons why a visitor's graphics card cannot draw a view, so that the server draws it."""
 
-from collections.abc import Callable
 from typing import NamedTuple
 
+from isogi_core.frame.features import FEATURES
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 
@@ -22,40 +22,8 @@ class Obstacle(NamedTuple):
     why: str
 
 
-Test = Callable[[Scene, View], bool]
-TESTS: tuple[tuple[Obstacle, Test], ...] = (
-    (
-        Obstacle("rooms", "Walls are lit by paths of the server."),
-        lambda scene, _: scene.lighting.room.any,
-    ),
-    (
-        Obstacle("glass", "Rays through glass are followed by the server."),
-        lambda scene, _: scene.surfaces.material.refracts,
-    ),
-    (
-        Obstacle("subsurface", "Light from inside the surface is mixed by the server."),
-        lambda scene, _: scene.surfaces.material.scatters,
-    ),
-    (
-        Obstacle("several surfaces", "Several surfaces are composed by the server."),
-        lambda scene, _: scene.surfaces.several,
-    ),
-    (
-        Obstacle("shine", "Rays of shine are cast by the server."),
-        lambda scene, view: scene.surfaces.shine_for(view.shine) is not None,
-    ),
-    (
-        Obstacle("glow", "What glows is gathered by the server."),
-        lambda scene, _: scene.lighting.glowing.any,
-    ),
-    (
-        Obstacle("colours", "Colours by data are found by the server."),
-        lambda scene, _: scene.surfaces.colours is not None,
-    ),
-    (
-        Obstacle("shading", "This shading is drawn by the server: a card draws gi and lambert."),
-        lambda _, view: view.shading not in SHADINGS,
-    ),
+OTHER_SHADING = Obstacle(
+    "shading", "This shading is drawn by the server: a card draws gi and lambert."
 )
 
 VOLUME_TOO_LARGE = Obstacle(
@@ -69,5 +37,13 @@ def find_obstacles(scene: Scene, view: View, nbytes: int) -> list[Obstacle]:
 
     Raises ViewError if views of the scene may not ask for the view's shine.
     """
-    found = [obstacle for obstacle, meets in TESTS if meets(scene, view)]
-    return found + ([VOLUME_TOO_LARGE] if nbytes > BYTES else [])
+    found = [
+        Obstacle(feature.name, feature.why_not_on_card)
+        for feature in FEATURES
+        if feature.why_not_on_card and feature.is_shown(scene, view)
+    ]
+    if view.shading not in SHADINGS:
+        found.append(OTHER_SHADING)
+    if nbytes > BYTES:
+        found.append(VOLUME_TOO_LARGE)
+    return found

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from isogi_core.bake.noise import Until
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer, surface_key
@@ -25,10 +24,11 @@ from isogi_core.frame.rays.shine import RAYS_TOGETHER, ShineRays, cast_rays, lig
 from isogi_core.frame.rays.wall_light import ViewWalls, WallView
 from isogi_core.frame.refinement import Refinement
 from isogi_core.frame.shading import colour_surface
+from isogi_core.frame.shot import Shot
 from isogi_core.frame.texel_normals import TexelNormals
 from isogi_core.frame.texel_shading import TexelShading
-from isogi_core.frame.tiles import Stopwatch, Tiles
-from isogi_core.frame.view_checks import ViewChecks, check_key, texels_until
+from isogi_core.frame.tiles import Tiles
+from isogi_core.frame.view_checks import ViewChecks, check_key, goal_of_texels
 from isogi_core.frame.view_texels import ViewTexels
 from isogi_core.kernels.shading.framebuffer import FINAL, PROVISIONAL, Framebuffer
 from isogi_core.kernels.shading.lattice import MIN_LIGHT
@@ -193,49 +193,41 @@ class ViewShine(Refinement[ShineLight]):
     walls: ViewWalls
     checks: ViewChecks
 
-    def put(
-        self,
-        gbuffer: GBuffer,
-        light: RotatedLight,
-        target: float,
-        framebuffer: Framebuffer,
-        tiles: Tiles,
-    ) -> bytes:
-        """Add shine to a picture of diffuse light; return a name of the rays, and of the light at
-        their ends. Raises Cancelled.
+    def put(self, shot: Shot, framebuffer: Framebuffer) -> bytes:
+        """Add shine to the picture of a ``shot`` in diffuse light; return a name of the rays, and
+        of the light at their ends. Raises Cancelled.
         """
-        shine = self._of(light, gbuffer, tiles)
+        tiles = shot.tiles
+        shine = self._begun(shot)
         # Rays cast after the first ones replace these. Their sums hold final light, so their number
         # names it. The light at the ends of the first rays still changes: look it up now.
         if shine.count:
             shine.put(None, framebuffer, tiles)
             return shine.version
-        ends = self._ends(shine.rays, light, target, tiles)
+        ends = self._ends(shine.rays, shot)
         shine.put(ends, framebuffer, tiles)
         return shine.version + ends.version
 
-    def of(
-        self, frame: Frame, light: RotatedLight, target: float, tiles: Tiles
-    ) -> ShineLight | None:
-        """Return the shine in a ``frame``, None if it has none: see ``Refinement``."""
-        if light.shine is None or not len(frame.gbuffer.pixels):
+    def of(self, shot: Shot) -> ShineLight | None:
+        """Return the shine in a ``shot``, None if it has none: see ``Refinement``."""
+        if shot.light.shine is None or not len(shot.gbuffer.pixels):
             return None
-        return self._of(light, frame.gbuffer, tiles)
+        return self._begun(shot)
 
-    def advance(
-        self, found: ShineLight, frame: Frame, target: float, tiles: Tiles, prices: Prices
-    ) -> bool:
-        """Cast more rays if the noise is above its share of the ``target``: see ``Refinement``."""
-        places = found.noisy(SHINE_NOISE_SHARE * target * frame.true_mean, tiles)
+    def advance(self, found: ShineLight, frame: Frame, shot: Shot, prices: Prices) -> bool:
+        """Cast more rays if the noise is above its share of the goal's: see ``Refinement``."""
+        allowed = SHINE_NOISE_SHARE * shot.goal.error * frame.true_mean
+        places = found.noisy(allowed, shot.tiles)
         if not len(places) or found.count >= MAX_RAYS:
             return False
-        self._cast(found, places, target, tiles)
+        self._cast(found, places, shot)
         return True
 
-    def _cast(self, shine: ShineLight, places: np.ndarray, target: float, tiles: Tiles) -> None:
+    def _cast(self, shine: ShineLight, places: np.ndarray, shot: Shot) -> None:
         """Double the rays from the points in rows ``places``. Paths start from ends whose light
         is not final.
         """
+        tiles = shot.tiles
         some = shine.gbuffer.part(places, tiles)
         each = HALVES * len(places)
         numbers = shine.sums.next(STEP_RAYS // each)
@@ -247,7 +239,7 @@ class ViewShine(Refinement[ShineLight]):
             rays = cast_rays(
                 shine.light, some, range(HALVES), numbers[first : first + together], tiles
             )
-            seen = self._ends(rays, shine.light, target, tiles)
+            seen = self._ends(rays, shot)
             # The texels of this picture of ends are of no further use.
             for kind in (ViewTexels, TexelNormals):
                 self.kept.drop((kind, surface_key(rays.view(shine.light.view)), False))
@@ -256,26 +248,28 @@ class ViewShine(Refinement[ShineLight]):
             added += rays.gather(seen.light).reshape(len(places), HALVES, -1, 3).sum(axis=2)
         shine.sums = shine.sums.joined(places, added, numbers.stop)
 
-    def _of(self, light: RotatedLight, gbuffer: GBuffer, tiles: Tiles) -> ShineLight:
-        """Return the shine of a view, kept or begun now with its first rays."""
-        make = partial(ShineLight.begun, light, gbuffer, tiles)
-        return self.kept.get((ShineLight, *check_key(light.view, 0.0), light.view.moving), make)
+    def _begun(self, shot: Shot) -> ShineLight:
+        """Return the shine of a ``shot``, kept or begun now with its first rays."""
+        make = partial(ShineLight.begun, shot.light, shot.gbuffer, shot.tiles)
+        return self.kept.get((ShineLight, *check_key(shot.view, 0.0), shot.view.moving), make)
 
-    def _ends(self, rays: ShineRays, light: RotatedLight, target: float, tiles: Tiles) -> SeenLight:
+    def _ends(self, rays: ShineRays, shot: Shot) -> SeenLight:
         """Return the light at the ends of ``rays``, by texels and walls as they are lit now;
         unshadowed light if nothing is lit yet.
         """
         hits = rays.hits
-        seen = RotatedLight(light.spec, rays.view(light.view))
         # The ends are a picture of one row: shade it as any other, from texels, lobes, colours and
-        # walls.
-        texels = self.texels.under(seen.view, hits, tiles)
-        check = self.checks.held(light.view, target)
-        until = texels_until(Until(target, FIRST_LEVEL), light.view, check.known if check else None)
-        reading, framebuffer = self.texels.picture(texels, seen, until, tiles, Stopwatch())
-        add_lobes_seen(rays, seen, framebuffer, tiles)
-        colour_surface(hits, seen, framebuffer, tiles)
-        version = self.walls.put_seen(walls_seen(rays, seen), target, framebuffer, tiles)
+        # walls. Its texels are final once those of the view are.
+        check = self.checks.held(shot.view, shot.goal.error)
+        first = shot.goal._replace(samples=FIRST_LEVEL)
+        goal = goal_of_texels(first, shot.view, check.known if check else None)
+        seen = RotatedLight(shot.light.spec, rays.view(shot.view))
+        row = Shot(hits, seen, goal, shot.tiles)
+        texels = self.texels.under(seen.view, hits, shot.tiles)
+        reading, framebuffer = self.texels.picture(texels, row)
+        add_lobes_seen(rays, row, framebuffer)
+        colour_surface(row, framebuffer)
+        version = self.walls.put_seen(row, walls_seen(rays, seen), framebuffer)
         return SeenLight(
             framebuffer.radiance, framebuffer.state, reading.version + version.encode()
         )
@@ -292,17 +286,17 @@ def walls_seen(rays: ShineRays, light: RotatedLight) -> list[WallView]:
     return WallView.of_sides(hits, light, sides)
 
 
-def add_lobes_seen(
-    rays: ShineRays, light: RotatedLight, framebuffer: Framebuffer, tiles: Tiles
-) -> None:
-    """Add the direct light of lobes at the ends of ``rays`` to the picture of these, by one shadow
-    ray to each lobe.
+def add_lobes_seen(rays: ShineRays, row: Shot, framebuffer: Framebuffer) -> None:
+    """Add the direct light of lobes at the ends of ``rays`` to the picture of these, whose shot is
+    a ``row``, by one shadow ray to each lobe.
 
     Raises Cancelled.
     """
+    light = row.light
     if not light.spec.lobes:
         return
     hits = rays.hits
+    tiles = row.tiles
     # Random points on lobes belong to the sequences of the rays.
     lamps = light.lobes
     shown = hits.shown(tiles)

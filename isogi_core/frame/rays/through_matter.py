@@ -16,13 +16,13 @@ from isogi_core.bake.refine import seeds_of
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.framing import frame_of
 from isogi_core.frame.gbuffer import GBuffer, OtherPoints
-from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.picture_plan import Prices
 from isogi_core.frame.rays.point_paths import HALVES, Estimate, NoisyLight
 from isogi_core.frame.rays.wall_light import ViewWalls, WallView
 from isogi_core.frame.refinement import Refinement
 from isogi_core.frame.shading import empty_framebuffer
-from isogi_core.frame.tiles import Stopwatch, Tiles
+from isogi_core.frame.shot import Shot
+from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_checks import check_key
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, Framebuffer
 from isogi_core.kernels.transport import streams
@@ -119,12 +119,13 @@ class SeenThrough:
         return sum(each.nbytes for each in parts)
 
     @classmethod
-    def of(cls, gbuffer: GBuffer, light: RotatedLight, trees: Trees, tiles: Tiles) -> "SeenThrough":
-        """Trace ``trees`` from the points of a G-buffer. Raises Cancelled."""
-        prepared = light.spec.prepared
+    def of(cls, shot: Shot, trees: Trees) -> "SeenThrough":
+        """Trace ``trees`` from the surface points of a ``shot``. Raises Cancelled."""
+        gbuffer = shot.gbuffer
+        light = shot.light
         count = len(gbuffer.points) * trees.each
-        passable = prepared.passable
-        traced = gbuffer.surface.traced(tiles.run)
+        passable = shot.prepared.passable
+        traced = gbuffer.surface.traced(shot.tiles.run)
         starts = np.repeat(gbuffer.points, trees.each, axis=0)
         (seeds, samples, deep) = trees.chances(gbuffer.pixels)
         # Each tree has room for as many places as it may see.
@@ -142,7 +143,7 @@ class SeenThrough:
                 traced, passable, light.surroundings, gbuffer.eye, starts[a:b], chances, leaves
             )
 
-        tiles.run(_piece, count, TILE_PLACES // trees.breadth)
+        shot.tiles.run(_piece, count, TILE_PLACES // trees.breadth)
         # Keep the places that are on walls.
         seen = np.flatnonzero(met >= 0)
         walls = OtherPoints(np.arange(len(seen), dtype=np.uint32), points[seen], met[seen])
@@ -150,10 +151,10 @@ class SeenThrough:
             sky, weights[seen], seen // trees.breadth, walls, sides[seen].astype(np.int64), cut
         )
 
-    def views(self, gbuffer: GBuffer, light: RotatedLight) -> list[WallView]:
+    def views(self, shot: Shot) -> list[WallView]:
         """Return the walls that are seen, fronts and backs apart."""
-        row = replace(gbuffer, shape=(1, max(len(self.rows), 1)), walls=self.walls)
-        return WallView.of_sides(row, light, self.sides)
+        row = replace(shot.gbuffer, shape=(1, max(len(self.rows), 1)), walls=self.walls)
+        return WallView.of_sides(row, shot.light, self.sides)
 
     def gather(self, lit: Framebuffer) -> tuple[np.ndarray, np.ndarray]:
         """Return the light that trees bring if walls are ``lit``, linear RGB, (n, 3) float64; and
@@ -184,14 +185,14 @@ class SeenThrough:
 
 @dataclass(eq=False)
 class SurfaceSeen:
-    """All that a view shows through its surface, for a target error: by the ``first`` trees, or by
-    the ``sums`` of trees that were drawn by chance once all walls that they see were final.
+    """All that the points of a ``gbuffer`` show through the surface, for a target error: by the
+    ``first`` trees, or by the ``sums`` of trees that were drawn by chance once all walls that they
+    see were final.
 
     Only the thread that holds the ``lock`` changes it.
     """
 
     gbuffer: GBuffer
-    light: RotatedLight
     first: SeenThrough
     sums: Estimate
     lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
@@ -205,9 +206,9 @@ class SurfaceSeen:
         """Return True if a ``frame`` shows all trees that were drawn."""
         return frame.quality.rays == self.sums.version
 
-    def put(self, lit: Framebuffer, target: float, framebuffer: Framebuffer, tiles: Tiles) -> bytes:
-        """Write the light that is seen to a picture, if walls are ``lit``; return a name of the
-        trees. Raises Cancelled.
+    def put(self, shot: Shot, lit: Framebuffer, framebuffer: Framebuffer) -> bytes:
+        """Write the light that is seen to the picture of a ``shot``, if walls are ``lit``; return a
+        name of the trees. Raises Cancelled.
 
         A pixel has the least state of all that it shows, and is not final before its noise is
         allowed.
@@ -215,10 +216,10 @@ class SurfaceSeen:
         # Read the sums once: another thread may replace them meanwhile.
         sums = self.sums
         pixels = self.gbuffer.pixels
-        shown, wrong = self.shown(sums, lit, tiles)
+        shown, wrong = self.shown(sums, lit, shot.tiles)
         light = np.minimum(shown.light, np.finfo(np.float32).max)
         state = self.first.states(lit)
-        if len(self.noisy(sums, shown, target)):
+        if len(self.noisy(sums, shown, shot.goal.error)):
             np.minimum(state, CONVERGING, out=state)
         error = np.sqrt(shown.variance + wrong**2) / np.maximum(light @ LUMINANCE_WEIGHTS, 1e-30)
         framebuffer.radiance[pixels] = light
@@ -270,52 +271,53 @@ class ViewThrough(Refinement[SurfaceSeen]):
     kept: LruCache[Any]
     walls: ViewWalls
 
-    def draw(
-        self, gbuffer: GBuffer, light: RotatedLight, target: float, tiles: Tiles, watch: Stopwatch
-    ) -> Frame:
-        """Render a G-buffer with the light of walls as it is now. Raises Cancelled."""
+    def draw(self, shot: Shot) -> Frame:
+        """Draw a ``shot`` with the light of walls as it is now. Raises Cancelled."""
+        gbuffer = shot.gbuffer
         framebuffer = empty_framebuffer(gbuffer)
-        with watch.stage("through"):
-            seen = self._seen(gbuffer, light, target, tiles)
+        with shot.watch.stage("through"):
+            seen = self.of(shot)
         # Light the walls that are seen through the surface, then those in the open.
-        with watch.stage("walls"):
-            lit, version = self._lit(seen.first, gbuffer, light, target, tiles)
-            rays = seen.put(lit, target, framebuffer, tiles)
+        with shot.watch.stage("walls"):
+            lit, version = self._lit(shot, seen.first)
+            rays = seen.put(shot, lit, framebuffer)
             waiting = int((framebuffer.state[gbuffer.pixels] < FINAL).sum())
             if len(gbuffer.walls.pixels):
-                more, paths = self.walls.put(gbuffer, light, target, framebuffer, tiles)
+                more, paths = self.walls.put(shot, framebuffer)
                 waiting += more
                 version += paths
-        frame = frame_of(gbuffer, light, framebuffer, watch, rays=rays)
+        frame = frame_of(shot, framebuffer, rays=rays)
         return replace(
             frame,
             quality=replace(frame.quality, waiting=waiting),
             version=f"{frame.version}{version}",
         )
 
-    def of(self, frame: Frame, light: RotatedLight, target: float, tiles: Tiles) -> SurfaceSeen:
-        """Return the light that a ``frame`` shows through its surface: see ``Refinement``."""
-        return self._seen(frame.gbuffer, light, target, tiles)
+    def of(self, shot: Shot) -> SurfaceSeen:
+        """Return the light that a ``shot`` shows through the surface, kept or begun now with the
+        first trees: see ``Refinement``.
+        """
 
-    def advance(
-        self, found: SurfaceSeen, frame: Frame, target: float, tiles: Tiles, prices: Prices
-    ) -> bool:
+        def make() -> SurfaceSeen:
+            first = SeenThrough.of(shot, GREATEST)
+            return SurfaceSeen(shot.gbuffer, first, Estimate.none(len(shot.gbuffer.points)))
+
+        return self.kept.get((SurfaceSeen, *check_key(shot.view, shot.goal.error)), make)
+
+    def advance(self, found: SurfaceSeen, frame: Frame, shot: Shot, prices: Prices) -> bool:
         """Take a step of the light ``found``: see ``Refinement``.
 
         Walls that are not final double their paths; once all are final, points take more trees.
         """
-        gbuffer = frame.gbuffer
-        light = found.light
-        views = [WallView.of(gbuffer, light), *found.first.views(gbuffer, light)]
-        if self.walls.grow(views, target, tiles):
+        views = [WallView.of(shot.gbuffer, shot.light), *found.first.views(shot)]
+        if self.walls.grow(views, shot):
             return True
-        lit, _ = self._lit(found.first, gbuffer, light, target, tiles)
-        places = found.noisy(found.sums, found.shown(found.sums, lit, tiles)[0], target)
-        return len(places) > 0 and self._draw_trees(found, places, target, tiles)
+        lit, _ = self._lit(shot, found.first)
+        shown, _ = found.shown(found.sums, lit, shot.tiles)
+        places = found.noisy(found.sums, shown, shot.goal.error)
+        return len(places) > 0 and self._draw_trees(shot, found, places)
 
-    def _draw_trees(
-        self, seen: SurfaceSeen, places: np.ndarray, target: float, tiles: Tiles
-    ) -> bool:
+    def _draw_trees(self, shot: Shot, seen: SurfaceSeen, places: np.ndarray) -> bool:
         """Double the trees of the points in rows ``places``; if they see walls that are not
         final, take a step of these instead. Return False if nothing was taken. Raises
         Cancelled.
@@ -327,36 +329,22 @@ class ViewThrough(Refinement[SurfaceSeen]):
         some = max(PLACES_TOGETHER // (BREADTH * trees.each), 1)
         for a in range(0, len(places), some):
             rows = places[a : a + some]
-            found = SeenThrough.of(seen.gbuffer.part(rows, tiles), seen.light, trees, tiles)
-            lit, _ = self._lit(found, seen.gbuffer, seen.light, target, tiles)
+            some_points = replace(shot, gbuffer=shot.gbuffer.part(rows, shot.tiles))
+            found = SeenThrough.of(some_points, trees)
+            lit, _ = self._lit(shot, found)
             # Sums must not hold light of walls that will still change.
             if (lit.state[: len(found.rows)] < FINAL).any():
-                return self.walls.grow(found.views(seen.gbuffer, seen.light), target, tiles)
+                return self.walls.grow(found.views(shot), shot)
             added[a : a + some] = found.gather(lit)[0].reshape(len(rows), HALVES, -1, 3).sum(axis=2)
         seen.sums = seen.sums.joined(places, added, numbers.stop)
         return True
 
-    def _lit(
-        self, seen: SeenThrough, gbuffer: GBuffer, light: RotatedLight, target: float, tiles: Tiles
-    ) -> tuple[Framebuffer, str]:
+    def _lit(self, shot: Shot, seen: SeenThrough) -> tuple[Framebuffer, str]:
         """Return the walls that are ``seen`` as they are lit now, and a name of their paths.
         Raises Cancelled.
         """
         lit = dark_row(len(seen.rows))
-        return lit, self.walls.put_seen(seen.views(gbuffer, light), target, lit, tiles)
-
-    def _seen(
-        self, gbuffer: GBuffer, light: RotatedLight, target: float, tiles: Tiles
-    ) -> SurfaceSeen:
-        """Return the light that the points of a G-buffer show, kept or begun now with the first
-        trees.
-        """
-
-        def make() -> SurfaceSeen:
-            first = SeenThrough.of(gbuffer, light, GREATEST, tiles)
-            return SurfaceSeen(gbuffer, light, first, Estimate.none(len(gbuffer.points)))
-
-        return self.kept.get((SurfaceSeen, *check_key(light.view, target)), make)
+        return lit, self.walls.put_seen(shot, seen.views(shot), lit)
 
 
 def dark_row(count: int) -> Framebuffer:

@@ -31,7 +31,8 @@ from isogi_core.frame.rays.wall_texels import (
 )
 from isogi_core.frame.refinement import Refinement
 from isogi_core.frame.shading import fog_depths, put_noise
-from isogi_core.frame.tiles import Stopwatch, Tiles
+from isogi_core.frame.shot import Shot
+from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL, Framebuffer
 from isogi_core.kernels.shading.lattice import MIN_LIGHT
 from isogi_core.kernels.shading.local_models import find_shadows, shade_local
@@ -367,22 +368,17 @@ class ViewWalls(Refinement[RoomLight]):
         self._volume = volume
         self._store = store
 
-    def put(
-        self,
-        gbuffer: GBuffer,
-        light: RotatedLight,
-        target: float,
-        framebuffer: Framebuffer,
-        tiles: Tiles,
-    ) -> tuple[int, str]:
-        """Write the walls into a picture; return the number of their pixels that are not final, and
-        the part of the picture's version that names the light of the walls.
+    def put(self, shot: Shot, framebuffer: Framebuffer) -> tuple[int, str]:
+        """Write the walls into the picture of a ``shot``; return the number of their pixels that
+        are not final, and the part of the picture's version that names the light of the walls.
 
         Only texels converge. Walls of all other shadings are final, and have an empty name. Raises
         Cancelled.
         """
-        view = light.view
-        walls = WallView.of(gbuffer, light)
+        view = shot.view
+        target = shot.goal.error
+        tiles = shot.tiles
+        walls = WallView.of(shot.gbuffer, shot.light)
         # Walls are shaded as the surface is: by paths, by a local model, or by texels.
         if view.shading == "path_traced":
             walls.put_paths(target, framebuffer, tiles)
@@ -394,55 +390,50 @@ class ViewWalls(Refinement[RoomLight]):
                 shading = view.shading
             walls.put_locally(shading, fog_depths(view, self._volume), framebuffer, tiles)
         else:
-            texels = self._best(walls, target, tiles)
+            texels = self._best(walls, shot)
             return walls.put(texels, target, framebuffer, tiles), "".join(
                 each.version for each in texels
             )
         return 0, ""
 
-    def add(
-        self, frame: Frame, light: RotatedLight, target: float, tiles: Tiles, watch: Stopwatch
-    ) -> Frame:
-        """Write the walls into the pixels of a ``frame`` that has its surface already; return the
-        frame with the number of wall pixels that are not final as ``quality.waiting``.
+    def add(self, frame: Frame, shot: Shot) -> Frame:
+        """Write the walls into the pixels of the ``frame`` of a ``shot`` that has its surface
+        already; return the frame with the number of wall pixels that are not final as
+        ``quality.waiting``.
 
         The framebuffer changes in place. The version grows by the names of the walls' light, so
         that a picture gets another version once its walls have more paths. Raises Cancelled.
         """
-        if not len(frame.gbuffer.walls.pixels):
+        if not len(shot.gbuffer.walls.pixels):
             return frame
-        with watch.stage("walls"):
-            waiting, version = self.put(frame.gbuffer, light, target, frame.framebuffer, tiles)
+        with shot.watch.stage("walls"):
+            waiting, version = self.put(shot, frame.framebuffer)
         return replace(
             frame,
             quality=replace(frame.quality, waiting=waiting),
             version=f"{frame.version}{version}",
         )
 
-    def put_seen(
-        self, views: Iterable[WallView], target: float, framebuffer: Framebuffer, tiles: Tiles
-    ) -> str:
+    def put_seen(self, shot: Shot, views: Iterable[WallView], framebuffer: Framebuffer) -> str:
         """Write the walls of several ``views`` into one picture; return a name of their light, for
         the picture's version. Raises Cancelled.
         """
         version = ""
         for walls in views:
-            texels = self._best(walls, target, tiles)
-            walls.put(texels, target, framebuffer, tiles)
+            texels = self._best(walls, shot)
+            walls.put(texels, shot.goal.error, framebuffer, shot.tiles)
             version += "".join(each.version for each in texels)
         return version
 
-    def of(self, frame: Frame, light: RotatedLight, target: float, tiles: Tiles) -> RoomLight:
-        """Return the light of the walls in a ``frame``: see ``Refinement``."""
-        return self._room(WallView.of(frame.gbuffer, light))
+    def of(self, shot: Shot) -> RoomLight:
+        """Return the light of the walls in a ``shot``: see ``Refinement``."""
+        return self._room(WallView.of(shot.gbuffer, shot.light))
 
-    def advance(
-        self, found: RoomLight, frame: Frame, target: float, tiles: Tiles, prices: Prices
-    ) -> bool:
+    def advance(self, found: RoomLight, frame: Frame, shot: Shot, prices: Prices) -> bool:
         """Double the paths of the walls in a ``frame`` that are not final: see ``Refinement``."""
-        return self.grow([WallView.of(frame.gbuffer, found.light)], target, tiles)
+        return self.grow([WallView.of(shot.gbuffer, found.light)], shot)
 
-    def grow(self, views: Sequence[WallView], target: float, tiles: Tiles) -> bool:
+    def grow(self, views: Sequence[WallView], shot: Shot) -> bool:
         """Take a step of all walls in some ``views`` of one light that are not final; return False
         if all are.
 
@@ -454,7 +445,7 @@ class ViewWalls(Refinement[RoomLight]):
             # A wall that several views see takes one step.
             for side in dict.fromkeys(side for walls in views for side in walls.seen):
                 lit = room.side(side)
-                if lit.grow(target, tiles):
+                if lit.grow(shot.goal.error, shot.tiles):
                     grown.append(lit.texels)
         finally:
             room.keep(grown)
@@ -462,10 +453,10 @@ class ViewWalls(Refinement[RoomLight]):
         self._kept.settle()
         return bool(grown)
 
-    def _best(self, walls: WallView, target: float, tiles: Tiles) -> list[WallTexels]:
+    def _best(self, walls: WallView, shot: Shot) -> list[WallTexels]:
         """Return the best texels of the sides that are seen. Raises Cancelled."""
         room = self._room(walls)
-        return [room.side(side).best(target, tiles) for side in walls.seen]
+        return [room.side(side).best(shot.goal.error, shot.tiles) for side in walls.seen]
 
     def _room(self, walls: WallView) -> RoomLight:
         """Return the light of walls for the isovalue, the albedo and the glow of a view, kept

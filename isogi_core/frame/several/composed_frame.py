@@ -6,6 +6,7 @@ import hashlib
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -59,9 +60,8 @@ class Part:
 
 
 @dataclass(frozen=True, eq=False)
-class SurfacesQuality(Quality):
-    """The quality of a frame that is composed of ``parts``, one for each side of a surface that is
-    seen.
+class ComposedFrame(Frame):
+    """A frame that is composed of ``parts``, one for each side of a surface that is seen.
 
     A pixel has the least state of all that it shows; errors add up by their weights. ``aim`` is the
     target of the picture; None if it is not checked.
@@ -81,18 +81,18 @@ class SurfacesQuality(Quality):
     def given_up(self) -> bool:
         """True if each part is final, or its check has ended."""
         return bool(self.parts) and all(
-            part.frame.quality.given_up or part.frame.final for part in self.parts
+            part.frame.given_up or part.frame.final for part in self.parts
         )
 
     @property
     def outdated(self) -> bool:
         """True if controls of a part were drawn when its texels were to have fewer samples."""
-        return any(part.frame.quality.outdated for part in self.parts)
+        return any(part.frame.outdated for part in self.parts)
 
     @property
-    def own(self) -> int:
-        """The number of pixels that have light of their own, in all parts."""
-        return sum(part.frame.quality.own for part in self.parts)
+    def traced_pixels(self) -> int:
+        """The number of pixels that have light from paths of their own, in all parts."""
+        return sum(part.frame.traced_pixels for part in self.parts)
 
     @property
     def demands(self) -> tuple[Demand, ...]:
@@ -115,85 +115,84 @@ class SurfacesQuality(Quality):
                 stages.append(replace(stage, caches=caches))
         return tuple(stages)
 
-    def layers(self, frame: Frame) -> Iterator[Layer]:
-        """Yield the layers of all sides in a ``frame``, and the faces of its window; see
-        ``Frame.layers``.
-        """
+    @property
+    def layers(self) -> Iterator[Layer]:
+        """The layers of all sides, and the faces of its window; see ``Frame.layers``."""
         for part in self.parts:
             for rows, pixels in part.layers.each:
                 yield pixels, part.layers.gbuffer.points[rows], part.layers.weights[rows]
-        yield frame.gbuffer.faces.pixels, frame.gbuffer.faces.points, 1.0
+        yield self.gbuffer.faces.pixels, self.gbuffer.faces.points, 1.0
 
-    def checkable(self, frame: Frame) -> bool:
-        """Return True if a step of a check can improve the ``frame``: all surfaces have their
-        light, and some part is not at its target.
+    @property
+    def checkable(self) -> bool:
+        """True if a step of a check can improve the frame: all surfaces have their light, and some
+        part is not at its target.
         """
         lit = not any(part.frame.provisional for part in self.parts if part.side != WALLS_SIDE)
-        return lit and not frame.final and any(part.frame.checkable for part in self.parts)
+        return lit and not self.final and any(part.frame.checkable for part in self.parts)
 
-    def walls_lag(self, frame: Frame) -> bool:
-        """Return True if walls are coarse, or not final with a larger error than the side with
-        the largest one.
+    @cached_property
+    def walls_lag(self) -> bool:
+        """True if walls are coarse, or not final with a larger error than the side with the largest
+        one.
         """
         walls = [
             part for part in self.parts if part.side == WALLS_SIDE and part.frame.quality.waiting
         ]
         worst = max((error_of(part) for part in self.parts if part.side != WALLS_SIDE), default=0.0)
-        return any(
-            part.frame.quality.walls_coarse(part.frame) or error_of(part) > worst for part in walls
-        )
+        return any(part.frame.walls_coarse or error_of(part) > worst for part in walls)
 
-    def true_mean(self, frame: Frame) -> float:
-        """Return the mean luminance of the pixels that show something."""
+    @cached_property
+    def true_mean(self) -> float:
+        """The mean luminance of the pixels that show something."""
         return float(
-            (frame.radiance[frame.state > 0].astype(np.float64) @ LUMINANCE_WEIGHTS).sum()
-        ) / max(frame.surface, 1)
+            (self.radiance[self.state > 0].astype(np.float64) @ LUMINANCE_WEIGHTS).sum()
+        ) / max(self.surface, 1)
 
-    def measured(self, frame: Frame) -> TotalError | None:
-        """Return the total relative RMSE by the control pixels of all sides; None before each side
-        has some.
+    @cached_property
+    def measured(self) -> TotalError | None:
+        """The total relative RMSE by the control pixels of all sides; None before each side has
+        some.
 
         The errors of different sides count as independent, but the ends of their intervals do not:
         the total is at an end if all sides are, so its interval is rather too wide.
         """
         # All sides must be measured: the error of one says nothing about the others.
         found = [part.measured for part in self.parts]
-        if not found or frame.view.shading != "gi" or frame.view.moving or not all(found):
+        if not found or self.view.shading != "gi" or self.view.moving or not all(found):
             return None
         errors = [each for each in found if each is not None]
         total = TotalError(
-            self._sum(frame, [each.likely for each in errors]),
-            self._sum(frame, [each.low for each in errors]),
-            self._sum(frame, [each.high for each in errors]),
+            self._sum([each.likely for each in errors]),
+            self._sum([each.low for each in errors]),
+            self._sum([each.high for each in errors]),
             sum(each.controls for each in errors),
         )
-        return total.at_least(frame.noise)
+        return total.at_least(self.noise)
 
-    def tail(self, frame: Frame) -> None:
-        """Return None: control pixels of one side do not tell how errors of two in one pixel
-        add up.
-        """
+    @cached_property
+    def tail(self) -> None:
+        """None: control pixels of one side do not tell how errors of two in one pixel add up."""
 
-    def total_error(self, frame: Frame) -> np.ndarray:
-        """Return the relative error of each pixel, whatever its causes; (h, w) float32."""
-        return summed_errors(
-            [(part, part.frame.total_error) for part in self.parts], frame.radiance
-        )
+    @cached_property
+    def total_error(self) -> np.ndarray:
+        """The relative error of each pixel, whatever its causes; (h, w) float32."""
+        return summed_errors([(part, part.frame.total_error) for part in self.parts], self.radiance)
 
-    def _sum(self, frame: Frame, errors: Sequence[float]) -> float:
-        """Return the relative RMSE of a ``frame`` from the relative ``errors`` of its parts,
-        which are independent.
+    def _sum(self, errors: Sequence[float]) -> float:
+        """Return the relative RMSE from the relative ``errors`` of the parts, which are
+        independent.
         """
         parts = zip(errors, self.parts, strict=True)
         squares = sum((error * part.frame.true_mean) ** 2 * part.weight for error, part in parts)
-        error = math.sqrt(squares / max(frame.surface, 1))
-        return min(error / max(frame.true_mean, MIN_SHOWN_LUMINANCE), 1.0)
+        error = math.sqrt(squares / max(self.surface, 1))
+        return min(error / max(self.true_mean, MIN_SHOWN_LUMINANCE), 1.0)
 
 
 def parts_of(frame: Frame) -> tuple[Part, ...]:
     """Return the parts that a frame is composed of; none for a frame of one surface."""
-    if isinstance(frame.quality, SurfacesQuality):
-        return frame.quality.parts
+    if isinstance(frame, ComposedFrame):
+        return frame.parts
     return ()
 
 
@@ -240,7 +239,7 @@ def summed(view: View, parts: Sequence[Part]) -> tuple[np.ndarray, np.ndarray]:
 
 def compose(
     view: View, peels: Peels, parts: Sequence[Part], watch: Stopwatch, target: float, scene: Scene
-) -> Frame:
+) -> ComposedFrame:
     """Compose the frame of a ``view`` of a ``scene`` from the frames of its sides, and paint
     the faces of its window.
     """
@@ -260,14 +259,22 @@ def compose(
     # Counts of the parts add up; the worst of the expected errors stands for all.
     frames = [part.frame for part in parts]
     chunks = sum(each.chunks_needed for each in frames), sum(each.chunks_final for each in frames)
-    quality = SurfacesQuality(
+    quality = Quality(
         chunks=chunks,
         waiting=sum(each.quality.waiting for each in frames),
         expected=max((each.quality.expected for each in frames), default=0.0),
-        parts=tuple(parts),
-        aim=target if checked else None,
     )
     version = hashlib.blake2b(versions.encode(), digest_size=16).hexdigest()
-    return Frame(
-        view, lit, state, error, peels.first, version, watch.seconds, quality, left=peels.left
+    return ComposedFrame(
+        view,
+        lit,
+        state,
+        error,
+        peels.first,
+        version,
+        watch.seconds,
+        quality,
+        left=peels.left,
+        parts=tuple(parts),
+        aim=target if checked else None,
     )

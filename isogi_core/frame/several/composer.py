@@ -8,8 +8,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from isogi_core.bake.noise import Until
-from isogi_core.bake.texel_light import FIRST_LEVEL
+from isogi_core.bake.noise import Goal
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import NoRoomError
 from isogi_core.frame.eye_glow import EyeGlow
@@ -64,19 +63,19 @@ class Composer:
             views = sum(each.nbytes - each.caches.nbytes for each in self._sides.values())
             return views + sum(each.nbytes for each in self._held.values())
 
-    def draw(self, view: View, until: Until, tiles: Tiles, watch: Stopwatch) -> Frame:
+    def draw(self, view: View, goal: Goal, tiles: Tiles, watch: Stopwatch) -> Frame:
         """Render a view with the light that is there now. Raises Cancelled, and NoRoomError if
         the light of this view alone takes more than the budget.
         """
         try:
-            return self._draw(view, until, tiles, watch)
+            return self._draw(view, goal, tiles, watch)
         except NoRoomError:
             # Light of other isovalues may take the room: drop all, and read again the light of this
             # view alone.
             self._let_go()
-            return self._draw(view, until, tiles, watch)
+            return self._draw(view, goal, tiles, watch)
 
-    def _draw(self, view: View, until: Until, tiles: Tiles, watch: Stopwatch) -> Frame:
+    def _draw(self, view: View, goal: Goal, tiles: Tiles, watch: Stopwatch) -> Frame:
         """Render a view, with the light of other isovalues in memory."""
         with watch.stage("primary"):
             peels = self.peels(view, tiles)
@@ -86,15 +85,17 @@ class Composer:
         for side, layers in peels.sides.items():
             renderer = self.renderer(side, view.isovalue)
             if side == WALLS_SIDE:
-                frame = renderer.draw_walls(peels.walls, view, until.target, tiles, watch)
+                shot = renderer.shot(view, peels.walls, goal, tiles, watch)
+                frame = renderer.draw_walls(shot)
             else:
                 tall = self._view_of(side, view, layers.layers)
-                frame = renderer.draw_on(layers.gbuffer, tall, until, tiles, watch)
+                shot = renderer.shot(tall, layers.gbuffer, goal, tiles, watch)
+                frame = renderer.draw(shot)
                 self._check_room()
             parts.append(Part(side, layers, frame, renderer.caches))
         # Add up all sides by the weights of their layers.
         with watch.stage("compose"):
-            return compose(view, peels, parts, watch, until.target, self._scene)
+            return compose(view, peels, parts, watch, goal.error, self._scene)
 
     def smooth(self, frame: Frame, tiles: Tiles) -> Frame:
         """Return a ``frame`` that was drawn with more samples at its edges: where neighbouring
@@ -118,13 +119,13 @@ class Composer:
         """
         return self._kept.get((Peels, surface_key(view)), lambda: self._peel(view, tiles))
 
-    def refine(self, view: View, target: float, tiles: Tiles, prices: Prices) -> bool:
-        """Take one step of the picture of a view, whose light is final, towards the ``target``;
+    def refine(self, view: View, goal: Goal, tiles: Tiles, prices: Prices) -> bool:
+        """Take one step of the picture of a view, whose light is final, towards the ``goal``;
         return False if there is no step to take.
 
         Sides have no finer texels, whatever the ``prices``.
         """
-        frame = self.draw(view, Until(target, FIRST_LEVEL), tiles, Stopwatch())
+        frame = self.draw(view, goal, tiles, Stopwatch())
         if not frame.refinable:
             return False
         # Walls that lag behind may take a step while sides still wait for light.
@@ -137,7 +138,7 @@ class Composer:
         # take.
         for part in sorted(waiting, key=error_of, reverse=True):
             renderer = self.renderer(part.side, view.isovalue)
-            if renderer.refine_frame(part.frame, target, tiles, prices.of_present):
+            if renderer.refine_frame(part.frame, goal, tiles, prices.of_present):
                 return True
         return False
 

@@ -89,8 +89,7 @@ def mixed(
         error=np.sqrt((shares**2 * errors**2).sum(axis=0)).astype(np.float32),
         bounds=readings[0].bounds,
         short=np.logical_or.reduce([reading.short for reading in readings]),
-        target=readings[0].target,
-        enough=readings[0].enough,
+        goal=readings[0].goal,
         parts=tuple(
             (reading, level.caches) for reading, level in zip(readings, levels, strict=True)
         ),

@@ -193,7 +193,7 @@ def reason(service: Service, frame: Frame, viewer: Viewer) -> str:
     """Return the reason why a frame is not final though no more light is coming."""
     # From the most specific reason to the general one. A frame in the shading PREVIEW, which a view
     # with other shading asked for, stands in for light that does not fit the memory.
-    if frame.quality.given_up:
+    if frame.given_up:
         error = f"The total error is {frame.total.likely:.3g} after all paths that pixels may take"
         return f"{error}: ask for a larger max_error."
     if frame.view.shading == PREVIEW:

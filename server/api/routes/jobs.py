@@ -8,7 +8,7 @@ from dataclasses import asdict
 from datetime import datetime
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Path, Request, Response
+from fastapi import APIRouter, Depends, Header, Path, Request, Response
 from fastapi.responses import FileResponse
 from pydantic import BaseModel
 
@@ -181,12 +181,12 @@ BODY = {
     "required": False,
     "content": {"application/json": {"schema": SCHEMA, "examples": EXAMPLES}},
 }
-ANSWERS: dict[int | str, dict[str, Any]] = {
-    202: {
-        "description": "The job. The same order once more is the same job until that has ended.",
-        "headers": {"Location": {"description": "The job.", "schema": {"type": "string"}}},
-    }
-}
+
+
+def accepted(description: str) -> dict[int | str, dict[str, Any]]:
+    """Return the document of an answer with a job."""
+    location = {"description": "The job.", "schema": {"type": "string"}}
+    return {202: {"description": description, "headers": {"Location": location}}}
 
 
 async def order_in(request: Request) -> PrewarmRequest:
@@ -209,7 +209,8 @@ async def order_in(request: Request) -> PrewarmRequest:
     "/prewarm",
     status_code=202,
     openapi_extra={"requestBody": BODY},
-    responses=ANSWERS | documented_problems(404, 422, 429, 503),
+    responses=accepted("The job. The same order once more is the same job until that has ended.")
+    | documented_problems(404, 422, 429, 503),
 )
 async def prewarm(
     scene: SceneDep,
@@ -230,13 +231,19 @@ async def prewarm(
 
 
 export_router = APIRouter(prefix="/v1/scenes/{scene}", tags=["jobs"])
+LONGEST_KEY = 256
+KEY_DESCRIPTION = (
+    "Any text that no other request of this client has. A request that is repeated with it, as its "
+    "answer was lost, begins no second job."
+)
 
 
 @export_router.post(
     "/export",
     status_code=202,
     openapi_extra=documented(ExportParams),
-    responses=ANSWERS | documented_problems(403, 404, 422, 429, 503),
+    responses=accepted("The job. The same request with the same Idempotency-Key is the same job.")
+    | documented_problems(403, 404, 422, 429, 503),
 )
 async def export(
     scene: SceneDep,
@@ -244,13 +251,16 @@ async def export(
     service: ServiceDep,
     response: Response,
     client: ClientDep,
+    idempotency_key: Annotated[
+        str | None, Header(max_length=LONGEST_KEY, description=KEY_DESCRIPTION)
+    ] = None,
 ) -> JobSchema:
     """Bake a whole isosurface and make a file with its light, to be fetched at
     `/v1/jobs/{job}/file` after the job has ended.
     """
     service.startup.check()
     scene = await service.variant(scene, params, client)
-    job = export_jobs.begin(service, scene, params, client)
+    job = export_jobs.begin(service, scene, params, client, idempotency_key)
     response.headers.update({"Location": address(job), "Cache-Control": "no-store"})
     return job_schema(job)
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from isogi_core.bake.noise import Until
+from isogi_core.bake.noise import Goal
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache.page_pool import UNLIT_VERSION
 from isogi_core.frame.card import blocks
@@ -31,7 +31,8 @@ from isogi_core.frame.card.looks import look_at, seen_chunks
 from isogi_core.frame.known_blocks import KnownBlocks, Packed
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.renderer import Renderer
-from isogi_core.frame.tiles import Stopwatch, Tiles
+from isogi_core.frame.shot import Shot
+from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import FINAL
 from isogi_core.kernels.shading.irradiance_ratio import DIRECT_COLUMN, REFLECTED_COLUMN
 from isogi_core.kernels.shading.lattice import BURIED_GRADE, VOID_GRADE
@@ -82,7 +83,8 @@ def drawn(
     gbuffer = renderer.gbuffer(view)
     light = RotatedLight(bench.caches.spec("gi"), view)
     texels = renderer.texels(view, gbuffer)
-    _, framebuffer = renderer._texels.picture(texels, light, Until(target), TILES, Stopwatch())
+    shot = Shot(gbuffer, light, Goal(target), TILES)
+    _, framebuffer = renderer._texels.picture(texels, shot)
     return gbuffer.points, gbuffer.normals(TILES), framebuffer.radiance[gbuffer.pixels]
 
 
@@ -176,8 +178,9 @@ def kernels_inputs(bench: Workbench, view: View, light: RotatedLight) -> tuple[A
     from isogi_core.frame.shading import fill_texel_records
 
     texels = bench.renderer.texels(view, bench.renderer.gbuffer(view))
-    reading, lit = bench.renderer._texels.lit(texels, light, Until(LOOSE), TILES, Stopwatch())
-    normals = bench.renderer._texels._texel_normals(view, texels, reading, TILES)
+    shot = Shot(texels.gbuffer, light, Goal(LOOSE), TILES)
+    reading, lit = bench.renderer._texels.lit(texels, shot)
+    normals = bench.renderer._texels._texel_normals(texels, reading, shot)
     return reading, fill_texel_records(reading.grade, lit, normals, light, TILES)
 
 

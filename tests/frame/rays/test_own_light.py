@@ -347,6 +347,10 @@ def test_pixels_of_a_picture_say_what_they_err_by(
 ) -> None:
     """A ball less another one, in two lamps: all that has light of its own says so, and by as much
     as pictures of many seeds err.
+
+    Reported over true is 0.90 here, and 0.99 on the casting under a sky (six seeds, ± 0.02). Light
+    before the filter has 0.99 and 1.00, after it 0.88 and 0.92: the filter's estimate leaves out a
+    part of its blur.
     """
     bench = Workbench(lamp_lit_mask(tmp_path), tmp_path / "store")
     view = bench.view(size=64, distance=1.8)
@@ -378,8 +382,9 @@ def test_pixels_of_a_picture_say_what_they_err_by(
         drawn = bench.renderer.render(view, 0.02)
         squares.append(((luminance(drawn) - lit)[own.places] ** 2).mean())
         reported.append(((drawn.error[on] * luminance(drawn))[own.places] ** 2).mean())
-    wrong = math.sqrt(np.mean(squares) - (true.noise * lit.mean()) ** 2)
-    assert math.sqrt(np.mean(reported)) == pytest.approx(wrong, rel=0.2)
+    # The reference has noise at these pixels, too: more than on the average of the picture.
+    wrong = math.sqrt(np.mean(squares) - true.variance[true.on][own.places].mean())
+    assert math.sqrt(np.mean(reported)) == pytest.approx(wrong, rel=0.15)
 
 
 def baked(bench: Workbench, view: View) -> Frame:
@@ -389,7 +394,7 @@ def baked(bench: Workbench, view: View) -> Frame:
             caches = stage.caches or bench.caches
             loader = caches.of("gi") if stage.shown is None else caches.projected(stage.shown)
             for demand in stage.demands:
-                refine_chunk(loader, frame.quality.enough, stage.target, demand)
+                refine_chunk(loader, frame.quality.enough, stage.goal.error, demand)
     return frame
 
 

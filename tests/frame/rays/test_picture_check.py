@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from isogi_core.bake.noise import Goal
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.errors import Cancelled
 from isogi_core.files.radiance import write_hdr
@@ -257,14 +258,13 @@ def reading_of(error: np.ndarray, samples: np.ndarray) -> Reading:
     none = np.zeros(0, np.int64)
     return Reading(
         rows,
-        grade_rows(rows, error, samples, 0.02),
+        grade_rows(rows, error, samples, Goal(0.02)),
         b"",
         samples,
         error,
         none,
         none,
-        0.02,
-        FIRST_LEVEL,
+        Goal(0.02, FIRST_LEVEL),
     )
 
 
@@ -318,7 +318,7 @@ def test_controls_noisier_than_the_error_take_more_paths(
     assert doubted and not doubted[-1].final
     last = frames[-1]
     assert last.final and last.quality.known is not None
-    assert last.quality.known.paths > 1 and last.quality.own == 0
+    assert last.quality.known.paths > 1 and last.traced_pixels == 0
 
 
 def test_deeper_controls_are_those_of_as_many_paths(coarse: Workbench) -> None:
@@ -353,9 +353,7 @@ def test_controls_of_a_rung_tell_of_the_next_one_first(workbench: Make) -> None:
     while frame.quality.enough == FIRST_LEVEL:
         assert bench.renderer.refine(view, target, prices=SHARED_PRICES)
         frame = bench.renderer.render(view, target)
-    assert (
-        frame.quality.outdated and frame.measured is not None and frame.demands and not frame.final
-    )
+    assert frame.outdated and frame.measured is not None and frame.demands and not frame.final
     above = baked_so_far(bench, view, target)
     assert (
         controls_of(above) is controls_of(frame)
@@ -364,7 +362,7 @@ def test_controls_of_a_rung_tell_of_the_next_one_first(workbench: Make) -> None:
     )
     assert bench.renderer.refine(view, target)
     renewed = bench.renderer.render(view, target)
-    assert not renewed.quality.outdated and controls_of(renewed) is not controls_of(frame)
+    assert not renewed.outdated and controls_of(renewed) is not controls_of(frame)
     assert renewed.version == above.version
 
 
@@ -393,7 +391,7 @@ def test_a_frame_that_others_have_overtaken_takes_no_step(coarse: Workbench) -> 
     while (frame := renderer.render(view)).refinable and len(seen) < 6:
         seen.append(frame.total.controls)
         for _ in range(2):
-            assert renderer.refine_frame(frame, TARGET, renderer.tiles, PRESENT)
+            assert renderer.refine_frame(frame, Goal(TARGET), renderer.tiles, PRESENT)
     assert seen[:2] == [0, FIRST_CONTROLS], "the second step waits for a frame that shows the first"
     one, other = checked(bench, view), checked(coarse, view)
     assert (one.version, one.total) == (other.version, other.total)
@@ -416,7 +414,7 @@ def test_no_controls_for_what_moves_or_is_shaded_locally(coarse: Workbench) -> N
     ):
         coarse.bake(other)
         frame = coarse.renderer.render(other)
-        assert frame.quality.target is None and frame.final and not coarse.renderer.refine(other)
+        assert frame.target is None and frame.final and not coarse.renderer.refine(other)
 
 
 def test_each_pixel_tells_its_whole_error(coarse: Workbench) -> None:
@@ -612,4 +610,4 @@ def test_light_that_is_still_to_come_is_measured(workbench: Make, part: float) -
     assert not bench.renderer.refine(view, TARGET)
     settled = climbed(bench, view, TARGET)[-1]
     assert settled.final and settled.quality.known is not None
-    assert not settled.quality.outdated
+    assert not settled.outdated

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from isogi_core.bake.noise import Goal
 from isogi_core.errors import ViewError
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.lighting import RotatedLight
@@ -75,9 +76,8 @@ def test_frames_that_others_have_overtaken_cast_no_rays(polished: Workbench) -> 
     renderer.forget_views()
     while (frame := renderer.render(view)).refinable:
         for _ in range(2):
-            renderer.refine_frame(
-                frame, renderer.prepared.scene.target_error, renderer.tiles, PRESENT
-            )
+            goal = Goal(renderer.prepared.scene.target_error)
+            renderer.refine_frame(frame, goal, renderer.tiles, PRESENT)
     assert (frame.version, frame.total) == (alone.version, alone.total)
 
 

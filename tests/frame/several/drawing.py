@@ -26,7 +26,7 @@ def bake(bench: Workbench, view: View, rungs: int | None = None) -> Frame:
             else:
                 loader = caches.projected(stage.shown)
             for demand in stage.demands:
-                refine_chunk(loader, rung, stage.target, demand)
+                refine_chunk(loader, rung, stage.goal.error, demand)
         rung = 2 * rung
         frame = drawn(bench, view)
     return frame

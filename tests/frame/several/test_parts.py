@@ -7,6 +7,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from isogi_core.bake.noise import Goal
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.frame.several.mixed_reading import Level, MixedReading, mixed
 from isogi_core.frame.several.peels import Hits, Peeler, first_of, side_layers
@@ -21,7 +22,6 @@ from isogi_core.kernels.shading.lattice import (
     VOID_GRADE,
 )
 from isogi_core.kernels.tracing.peels import MAX_PEELED_LAYERS
-from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.model.view import Camera, View
 from isogi_core.model.volume import make_volume
 from isogi_core.plan.variants import Side
@@ -136,8 +136,7 @@ def reading(grades: list[int], error: float) -> Reading:
         errors,
         np.array([0, len(grade)]),
         short,
-        0.02,
-        MAX_SAMPLES,
+        Goal(0.02),
     )
 
 

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from isogi_core.frame.entry_kernels import AMONG, frame_kernels
+from isogi_core.frame.entry_kernels import frame_kernels
+from isogi_core.frame.features import SEVERAL_SURFACES
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.several.composed_frame import parts_of
 from isogi_core.kernels.shading.framebuffer import FINAL, PROVISIONAL
@@ -66,7 +67,7 @@ def test_it_becomes_final_and_is_what_paths_say(kind: str, tmp_path: Path) -> No
     frame = lit(bench, view)
     assert frame.quality.waiting == 0
     assert (frame.state[first.state > 0] == FINAL).all()
-    assert frame.final or frame.quality.given_up
+    assert frame.final or frame.given_up
     traced = drawn(bench, replace(view, shading="path_traced", samples=256))
     assert relative_rmse(frame, traced) < 1.5 * LOOSE
     on = frame.state > 0
@@ -169,5 +170,5 @@ def test_local_shadings_show_walls_too(shading: str, tmp_path: Path) -> None:
 def test_its_kernels_are_those_of_surfaces_and_walls() -> None:
     own = {"room": "cornell", **ROOMS["clear"]}
     called = {*frame_kernels([load_scene("demo:orbital", **own)])}
-    assert {*AMONG, light_walls, light_among_surfaces} <= called
+    assert {*SEVERAL_SURFACES.kernels, light_walls, light_among_surfaces} <= called
     assert light_in_room not in called

@@ -35,8 +35,10 @@ from server.api.service import Service
 from server.errors import BusyError
 from server.parameters import ViewParams
 from server.pictures import npy_bytes
+from server.render.picture_checks import CHECK
 from server.render.scene_variant import SceneVariant
 from server.render.scheduling import Rank, Renders
+from server.render.update_bus import UpdateBus
 from server.settings import Patience, Settings
 from server.views import view_of
 from tests.server.sockets import wait_for
@@ -440,6 +442,28 @@ async def test_a_frame_is_drawn_again_once_all_its_light_is_there(
     assert len(engine.views) == 2
     bake_ms = float(re.findall(r"bake;dur=([\d.]+)", answer.headers["server-timing"])[0])
     assert 100.0 < bake_ms < 5000.0
+
+
+async def test_a_request_waits_for_light_and_for_no_check_beside_it(
+    engine: FakeEngine, app: FastAPI, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A picture with a part of its light may be measured as it is: that may take longer."""
+    light: Index = (0, 0, 1)
+    awaited: list[frozenset[Index]] = []
+    pending = UpdateBus.pending
+
+    def watch(self: UpdateBus, bake: str, chunks: frozenset[Index], since: int) -> Any:
+        awaited.append(chunks)
+        for each in chunks:
+            self.publish(bake, each, False)
+        return pending(self, bake, chunks, since)
+
+    monkeypatch.setattr(UpdateBus, "pending", watch)
+    coming = iter([{light, CHECK}, {CHECK}, set[Index]()])
+    monkeypatch.setattr(engine, "want", lambda *_: frozenset(next(coming)))
+    (answer,) = await started(app, {"wait_ms": 10_000})
+    assert answer.status_code == 200
+    assert awaited == [{light}, {CHECK}], "the check alone is waited for once light is there"
 
 
 async def test_pictures_are_drawn_while_asking_for_light_takes_long(

@@ -245,9 +245,7 @@ def test_what_ended_without_a_deadline_does_not_name_the_time() -> None:
     """The check of the picture has taken all steps that there are."""
     camera = Camera((9.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     view = View(isovalue=0.5, camera=camera, width=1, height=1)
-    ended = SimpleNamespace(
-        final=False, view=view, provisional=False, quality=SimpleNamespace(given_up=True)
-    )
+    ended = SimpleNamespace(final=False, view=view, provisional=False, given_up=True)
     assert stopped_by(ended) == "paths"  # type: ignore[arg-type]
     facts = {"file": "a.png", "width": 9, "height": 9, "stopped": "paths", "note": "", "final": 0.0}
     below = {"error": 0.018, "target_error": 0.02, "interval": (0.015, 0.03), "p99": 0.05}

@@ -97,6 +97,27 @@ def test_a_dismissed_export_wants_no_light_and_has_no_file(idle: Idle) -> None:
     assert httpx.delete(f"{idle.url}{address}").status_code == 200
 
 
+def test_a_request_that_is_repeated_begins_no_second_job(idle: Idle) -> None:
+    def begin(key: str | None, **params: str) -> str:
+        headers = {} if key is None else {"Idempotency-Key": key}
+        answer = httpx.post(f"{idle.url}{EXPORT}", params=params, headers=headers)
+        assert answer.status_code == 202 and answer.json()["processID"] == "export"
+        return str(answer.headers["location"])
+
+    first = begin("a")
+    others = {begin("b"), begin("a", yaw="70"), begin(None), begin(None)}
+    assert begin("a") == first and len(others) == 4 and first not in others
+    # Also once it has ended: its client may not have heard of it.
+    httpx.delete(f"{idle.url}{first}")
+    assert begin("a") == first
+    assert httpx.get(f"{idle.url}{first}").json()["status"] == "dismissed"
+    assert (
+        httpx.post(f"{idle.url}{EXPORT}", headers={"Idempotency-Key": "a" * 300}).status_code == 422
+    )
+    for each in {first, *others}:
+        httpx.delete(f"{idle.url}{each}")
+
+
 def test_a_volume_needs_a_texel_at_each_voxel(small_scene: Path, tmp_path: Path) -> None:
     with idle_server(small_scene, tmp_path) as idle:
         answer = httpx.post(f"{idle.url}/v1/scenes/small/export", params={"f": "vti"})

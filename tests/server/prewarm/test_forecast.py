@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from isogi_core.bake.noise import Effort, Until
+from isogi_core.bake.noise import Effort, Goal
 from isogi_core.frame.demand import Demand
 from isogi_core.frame.texel_reading import Stage
 from isogi_core.model.scene_plan import MAX_SAMPLES
@@ -56,13 +56,13 @@ def test_a_rehearsal_does_the_tasks_of_a_bake_and_keeps_nothing(
         renderer = engine.renderer("blocks")
         demands = engine.survey("blocks", view, 0.1, enough=MAX_SAMPLES).demands
         tried = [
-            rehearse(renderer, each, Until(0.1, 128), math.inf, threading.Event())
+            rehearse(renderer, each, Goal(0.1, 128), math.inf, threading.Event())
             for each in demands
         ]
-        cut = rehearse(renderer, demands[0], Until(0.1, 128), 0.0, threading.Event())
+        cut = rehearse(renderer, demands[0], Goal(0.1, 128), 0.0, threading.Event())
         before = engine.survey("blocks", view, 0.1, enough=MAX_SAMPLES)
         assert before.counts["provisional"] == before.surface > 0
-        engine.bake("blocks", Stage(demands, 0.1, 128), patient).wait(LONG)
+        engine.bake("blocks", Stage(demands, Goal(0.1, 128)), patient).wait(LONG)
         assert sum(one.tasks for one in tried) == len(tasks)
         stored = sum(path.stat().st_size for path in tmp_path.glob("*/c/**/*") if path.is_file())
         assert sum(one.stored for one in tried) == stored
@@ -70,8 +70,8 @@ def test_a_rehearsal_does_the_tasks_of_a_bake_and_keeps_nothing(
         assert cut.tasks == pytest.approx(tried[0].tasks, rel=5.0)
         assert not engine.survey("blocks", view, 0.1, enough=128).provisional
         rest = engine.survey("blocks", view, 0.002, enough=MAX_SAMPLES).demands
-        assert rehearse(renderer, rest[0], Until(0.002), math.inf, threading.Event()).tasks >= 1.0
-        assert forecast(renderer, (), Until(0.1), 1, 1.0, threading.Event()).seconds == 0.0
+        assert rehearse(renderer, rest[0], Goal(0.002), math.inf, threading.Event()).tasks >= 1.0
+        assert forecast(renderer, (), Goal(0.1), 1, 1.0, threading.Event()).seconds == 0.0
 
 
 def test_the_sample_is_spread_over_all_texels() -> None:

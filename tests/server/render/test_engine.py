@@ -20,6 +20,7 @@ from isogi_core.errors import Cancelled, StoreError
 from isogi_core.frame.entry_kernels import FRAME, LOBES
 from isogi_core.frame.frame import Frame
 from isogi_core.kernels._compilation import Compilation, with_callees
+from isogi_core.kernels.shading.framebuffer import CONVERGING
 from isogi_core.kernels.shading.irradiance_ratio import carry_ratios
 from isogi_core.kernels.shading.lattice import carry_light
 from isogi_core.kernels.shading.local_models import shade_local
@@ -34,12 +35,14 @@ from isogi_core.storage import folder
 from isogi_core.storage.backend import StoreUrl
 from server.cli.render import draw_refined
 from server.render.engine import RenderEngine
+from server.render.picture_checks import CHECK, LIGHT_PATIENCE_SECONDS
 from server.render.stores import StoreProbe, whereabouts
 from tests.scale import COMPILED
 from tests.server.buckets import Begin
 from tests.server.inline import LONG, InlinePool, chunks_in, view_of
 from tests.server.sockets import wait_for
 from worker import pool
+from worker.bake_requests import GUEST_VIEWER
 from worker.errors import WorkersAwayError, WorkersError
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -121,6 +124,26 @@ def test_asking_again_and_again_is_enough(begin: Begin) -> None:
     engine = begin()
     assert wait_for(lambda: not look(engine).provisional, LONG)
     assert not look(engine).demands
+
+
+def test_a_picture_is_measured_early_only_if_light_takes_long(
+    begin: Begin, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Paths of its controls would take processors from the workers that complete it."""
+    engine = begin()
+    unlit = look(engine)
+    state = unlit.state.copy()
+    state.flat[unlit.gbuffer.pixels[0]] = CONVERGING
+    part = replace(unlit, state=state)
+    assert part.unmeasured and not unlit.unmeasured
+    delays: list[float] = []
+    monkeypatch.setattr(engine._checks, "request", lambda *given: delays.append(given[-1]))
+    (scene,) = engine.scenes
+    assert CHECK in engine.want(scene, part, 0.3, GUEST_VIEWER)
+    # A store that takes nothing gets no more light: what there is is measured at once.
+    monkeypatch.setattr(engine.store, "only_read", lambda: True)
+    assert engine.want(scene, part, 0.3, GUEST_VIEWER) == {CHECK}
+    assert delays == [LIGHT_PATIENCE_SECONDS, 0.0]
 
 
 def test_workers_come_after_the_start(begin: Begin, monkeypatch: pytest.MonkeyPatch) -> None:

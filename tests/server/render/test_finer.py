@@ -97,7 +97,7 @@ def test_without_room_for_them_pixels_get_light_of_their_own(
 
     monkeypatch.setattr(Renderer, "render", render)
     frame = engine.frame(scene.id, view_of(scene), wait=LONG)
-    assert frame.final and frame.quality.fineness == 0 and 0 < frame.quality.own <= frame.surface
+    assert frame.final and frame.quality.fineness == 0 and 0 < frame.traced_pixels <= frame.surface
 
 
 def test_where_few_pixels_err_they_get_light_of_their_own(
@@ -105,5 +105,5 @@ def test_where_few_pixels_err_they_get_light_of_their_own(
 ) -> None:
     weigh_at(FREE.of_present, monkeypatch)
     frame = engine.frame(scene.id, view_of(scene), wait=LONG)
-    assert frame.final and frame.quality.fineness == 0 and frame.quality.own > 0
+    assert frame.final and frame.quality.fineness == 0 and frame.traced_pixels > 0
     assert not engine.lacking(scene.id, frame)[1].demands

@@ -46,8 +46,8 @@ class Steps:
         self.told.append((view.isovalue, more))
         self.ended.release()
 
-    def ask(self, isovalue: float, viewer: Viewer = ONE) -> None:
-        self.checks.request("scene", replace(VIEW, isovalue=isovalue), 0.02, viewer)
+    def ask(self, isovalue: float, viewer: Viewer = ONE, delay: float = 0.0) -> None:
+        self.checks.request("scene", replace(VIEW, isovalue=isovalue), 0.02, viewer, delay)
 
     def end(self, count: int) -> None:
         """Let so many steps end."""
@@ -115,3 +115,30 @@ def test_no_more_than_so_many_pictures_wait(steps: Steps) -> None:
     steps.end(MAX_WAITING_PICTURES + 1)
     assert len(steps.taken) == MAX_WAITING_PICTURES + 1
     assert min(steps.taken[1:]) == 1.0 + 5, "those asked for first are dropped"
+
+
+def test_a_picture_waits_for_the_rest_of_its_light(steps: Steps) -> None:
+    steps.ask(0.1, delay=LONG)
+    steps.ask(0.2, OTHER)
+    steps.end(1)
+    assert steps.taken == [0.2], "the older picture waits, and the other one does not"
+    # All its light is there: it is checked at once.
+    steps.ask(0.1)
+    steps.end(1)
+    assert steps.taken == [0.2, 0.1]
+
+
+def test_a_picture_that_lacks_light_for_long_is_measured(steps: Steps) -> None:
+    steps.ask(0.1, delay=0.05)
+    for _ in range(3):
+        steps.ask(0.1, delay=LONG)
+    steps.end(1)
+    assert steps.taken == [0.1], "new light does not put it off"
+
+
+def test_a_picture_that_waits_is_forgotten_if_its_viewer_leaves(steps: Steps) -> None:
+    steps.ask(0.1, delay=0.05)
+    steps.checks.leave(ONE)
+    steps.ask(0.2, OTHER, delay=0.1)
+    steps.end(1)
+    assert steps.taken == [0.2]

@@ -2,13 +2,16 @@
 rest have them.
 """
 
+import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from isogi_core.bake.noise import Goal
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache import upkeep as pruning
 from isogi_core.cache.scene_caches import Caches
@@ -73,6 +76,72 @@ def test_a_bake_is_made_once_and_the_oldest_is_forgotten(monkeypatch: pytest.Mon
     assert not baker.bakes and bakes.scene(first) == first
 
 
+def test_who_waits_for_a_bake_that_is_dropped_hears_of_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The baker says what it drops by the name of the bake: requests wait by that of the scene."""
+    monkeypatch.setattr(room, "MAX_BAKES", 1)
+    monkeypatch.setattr(room, "trim_projected", lambda store, most: 0)
+    heard: list[str] = []
+
+    class TellingBaker(FakeBaker):
+        def forget(self, name: str) -> None:
+            super().forget(name)
+            heard.append(bakes.scene(name))
+
+    baker: Any = TellingBaker()
+    bakes = SideBakes(baker, Store("memory://projected"), 0)
+    for scene in ("a", "b"):
+        last = bakes.name(scene, 0.25, 0, lambda: None)  # type: ignore[arg-type, return-value]
+    assert heard == ["a"]
+    bakes.forget("b")
+    assert heard == ["a", "b"] and bakes.scene(last) == last
+
+
+def test_a_bake_that_leaves_is_gone_before_it_comes_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(room, "trim_projected", lambda store, most: 0)
+    begun = threading.Event()
+    go_on = threading.Event()
+
+    class SlowBaker(FakeBaker):
+        def forget(self, name: str) -> None:
+            begun.set()
+            assert go_on.wait(LONG)
+            super().forget(name)
+
+    baker: Any = SlowBaker()
+    bakes = SideBakes(baker, Store("memory://projected"), 0)
+
+    def ask() -> str:
+        return bakes.name("a", 0.25, 0, lambda: None)  # type: ignore[arg-type, return-value]
+
+    name = ask()
+    with ThreadPoolExecutor(2) as threads:
+        forgetting = threads.submit(bakes.forget, "a")
+        assert begun.wait(LONG)
+        asking = threads.submit(ask)
+        go_on.set()
+        forgetting.result(LONG)
+        assert asking.result(LONG) == name
+    assert list(baker.bakes) == [name]
+
+
+def test_few_isovalues_of_lit_walls_are_remembered(monkeypatch: pytest.MonkeyPatch) -> None:
+    baker: Any = FakeBaker()
+    trimmed = []
+    monkeypatch.setattr(room, "MAX_LIT", 2)
+    monkeypatch.setattr(room, "trim_projected", lambda *given: trimmed.append(given))
+    bakes = SideBakes(baker, Store("memory://projected"), 0)
+    for isovalue in (0.1, 0.2, 0.1, 0.3, 0.1, 0.2):
+        bakes.lit("a", isovalue)
+        bakes.settle()
+    assert len(trimmed) == 4, "0.2 was forgotten, and 0.1 not, as it was lit again"
+    bakes.forget("a")
+    bakes.lit("a", 0.1)
+    bakes.settle()
+    assert len(trimmed) == 5
+
+
 def test_the_caches_that_asked_last_hear_of_new_light(
     monkeypatch: pytest.MonkeyPatch, scene: Scene, tmp_path: Path
 ) -> None:
@@ -87,7 +156,7 @@ def test_the_caches_that_asked_last_hear_of_new_light(
         Caches(PreparedScene(scene), tmp_path, 1 << 20, makes=False) for _ in range(2)
     )
     names = {
-        bakes.side("a", "gi", Stage((), 0.3, caches=each), share_nothing)
+        bakes.side("a", "gi", Stage((), Goal(0.3), caches=each), share_nothing)
         for each in (former, latter)
     }
     assert len(names) == len(baker.bakes) == 1
@@ -135,14 +204,14 @@ def test_projected_texels_have_a_bake_and_a_time_left(engine: RenderEngine, scen
     name = scene.id
     target = scene.target_error
     while (frame := engine.survey(name, view, target)).stages[0].shown is None:
-        assert engine.lacking(name, frame)[0] == name and frame.stages[0].target >= target
+        assert engine.lacking(name, frame)[0] == name and frame.stages[0].goal.error >= target
         engine.want(name, frame, target, GUEST_VIEWER)
         time.sleep(0.01)
     bake, stage = engine.lacking(name, frame)
     assert frame.provisional and frame.quality.projection and bake != name
     assert (
         places_of(stage.demands) == places_of(frame.quality.projection.demands) != []
-        and stage.target == target
+        and stage.goal.error == target
     )
     moving = engine.survey(name, replace(view, moving=True), target)
     assert engine.lacking(name, moving)[0] == name and moving.quality.projection is None

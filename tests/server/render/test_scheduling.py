@@ -15,6 +15,7 @@ from isogi_core.frame.tiles import Interruption
 from isogi_core.prepared.prepared_scene import Index
 from server.errors import BusyError
 from server.logs import REQUEST_ID
+from server.render import update_bus
 from server.render.scheduling import (
     DRAFT,
     REFINEMENT_PATIENCE,
@@ -363,6 +364,25 @@ async def test_updates_before_the_wait_count_from_its_number_on() -> None:
         assert waiting.some.is_set() and waiting.chunks == {A}
     with updates.pending("gi", {A}, seen) as waiting:
         assert not waiting.some.is_set()
+
+
+async def test_updates_are_remembered_for_some_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(update_bus, "MOST_UPDATES", 2)
+    monkeypatch.setattr(update_bus, "MOST_BAKES", 1)
+    updates = UpdateBus()
+    await publish(updates, ("gi", A, False))
+    seen = updates.newest("gi")
+    await publish(updates, *(("near", each, True) for each in (A, B, C)))
+    # Whether B of "gi" was updated since then is not known any more: look again.
+    with updates.pending("gi", {B}, seen) as waiting:
+        assert waiting.all.is_set()
+    with updates.pending("gi", {B}, updates.newest("near")) as waiting:
+        assert not waiting.some.is_set()
+    # The number of a bake that is forgotten is no smaller than it was, and misses nothing.
+    assert seen <= updates.newest("gi") <= updates.newest("near") == 4
+    with updates.pending("gi", {A}, updates.newest("gi")) as waiting:
+        await publish(updates, ("gi", A, True))
+        assert waiting.some.is_set()
 
 
 @IN_NO_TIME

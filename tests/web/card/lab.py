@@ -16,13 +16,12 @@ from typing import Any, ClassVar
 import numpy as np
 from playwright.sync_api import Browser, Page
 
-from isogi_core.bake.noise import Until
+from isogi_core.bake.noise import Goal
 from isogi_core.frame.card.blocks import CHUNKS, fold_chunks, transfer_chunks
 from isogi_core.frame.card.looks import seen_chunks
 from isogi_core.frame.known_blocks import LEVEL
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.renderer import Renderer
-from isogi_core.frame.tiles import Stopwatch
 from isogi_core.model.view import Camera, Quaternion, View, quaternion_from_angles
 from server.answers import card_scene
 from server.exports.page_files import SHADERS, shaders
@@ -219,11 +218,9 @@ def plain_light(renderer: Renderer, view: View, target: float) -> tuple[np.ndarr
     is seen (h, w).
     """
     gbuffer = renderer.gbuffer(view)
-    light = renderer._light(view)
     texels = renderer.texels(view, gbuffer)
-    _, framebuffer = renderer._texels.picture(
-        texels, light, Until(target), renderer.tiles, Stopwatch()
-    )
+    shot = renderer.shot(view, gbuffer, Goal(target), renderer.tiles)
+    _, framebuffer = renderer._texels.picture(texels, shot)
     size = (view.height, view.width)
     return framebuffer.radiance.reshape(*size, 3), framebuffer.state.reshape(size) > 0
 

@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections import Counter
@@ -123,15 +124,26 @@ def test_a_stop_before_the_socket_is_there_is_one_line(
     """The fork server starts first; modules, the scene and its volume are loaded after it."""
     command = [sys.executable, "-m", "server", "serve", str(small_scene), "--port", "0"]
     command += ["--workers", "1", "--store", str(tmp_path / "light"), "--uploads-mb", "0"]
-    with subprocess.Popen(
-        command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
+    # The name of a socket may be no longer than some hundred bytes, so the folder is a short one.
+    with (
+        tempfile.TemporaryDirectory(prefix="stop") as folder,
+        subprocess.Popen(
+            command,
+            cwd=ROOT,
+            env={**os.environ, "TMPDIR": folder},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        ) as process,
+    ):
         family = psutil.Process(process.pid)
         assert wait_for(family.children, 60)
         children = family.children(recursive=True)
         process.send_signal(number)
         out, error = process.communicate(timeout=60)
+        left = list(Path(folder).iterdir())
     assert (process.returncode, out, error) == (0, "", "isogi: stopped before it was ready\n")
+    assert left == [], "no socket of the fork server stays in the folder of temporary files"
     gone = psutil.wait_procs(children, timeout=30)[0]
     assert len(gone) == len(children), "no process outlives its server"
 
