@@ -44,8 +44,8 @@ def open(
     - an ``xarray.DataArray`` of three dimensions (z, y, x), whose coordinates give the spacing.
 
     ``light`` is the name of a light (``"overcast"``, ``"studio"``, ``"noon"``, ``"evening"``,
-    ``"gallery"``), the path of a probe (``.hdr``), or the ``lights`` of a scene file: a table or a
-    list of tables. Further ``keys`` are those of a scene file, such as ``isovalue=70``,
+    ``"gallery"``), the path of a probe (``.hdr``, ``.exr``), or the ``lights`` of a scene file: a
+    table or a list of tables. Further ``keys`` are those of a scene file, such as ``isovalue=70``,
     ``albedo=0.6`` or ``smooth=1``, and replace those of a scene.
 
     Light is kept in ``store``, a folder or URL (default: the folder of the command line), and

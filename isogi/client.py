@@ -928,8 +928,8 @@ class Isogi:
         return self._send("/v1/volumes", Path(volume), name)
 
     def upload_environment(self, probe: str | Path, name: str | None = None) -> dict[str, Any]:
-        """Send a light probe (.hdr, latitude-longitude) to a server that takes uploads; return its
-        facts.
+        """Send a light probe (.hdr or .exr, latitude-longitude) to a server that takes uploads;
+        return its facts.
 
         >>> light = isogi.upload_environment("grace.hdr")
         >>> isogi.frame("casting", environment=light["id"])

@@ -16,7 +16,7 @@ from PIL import Image
 
 from isogi_core.errors import SceneError, VolumeError
 from isogi_core.files.coordinates import along, direction_of, is_even, role_of, roles_of
-from isogi_core.files.scene_file import SceneSource, find_source
+from isogi_core.files.scene_file import SceneSource, as_written, find_source
 from isogi_core.model.lights import ENVIRONMENTS
 from isogi_core.plan.scene import Scene as CoreScene
 from isogi_core.storage.atomic_file import write_whole
@@ -427,9 +427,10 @@ def toml_of(source: SceneSource) -> str:
     """Return a scene's document as the text of a scene file that may lie anywhere: paths of files
     that are there become absolute.
     """
-    lines = [f"{key} = {toml_value(value, source.base)}" for key, value in source.document.items()]
+    document = as_written(source.document)
+    lines = [f"{key} = {toml_value(value, source.base)}" for key, value in document.items()]
     text = "\n".join(lines) + "\n"
-    if tomllib.loads(text).keys() != source.document.keys():
+    if tomllib.loads(text).keys() != document.keys():
         raise SceneError(f"The scene '{source.name}' cannot be written as a file.")
     return text
 

@@ -3,9 +3,9 @@
 import os
 from ipaddress import ip_address, ip_network
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, NamedTuple, Self
 
-from pydantic import Field, FilePath, SecretStr, field_validator, model_validator
+from pydantic import Field, FilePath, PrivateAttr, SecretStr, field_validator, model_validator
 from pydantic_settings import (
     BaseSettings,
     NoDecode,
@@ -36,8 +36,48 @@ Names = Annotated[tuple[str, ...], NoDecode]
 """Names in a list, or in a text separated by commas."""
 
 
-FORMER_SETTING_NAMES = {"sharp_mb": "projected_mb"}
-"""Former names of settings, with their present names."""
+class Patience(NamedTuple):
+    """How long a server waits for clients, and how much it takes from them: numbers that nobody
+    needs to set. A proxy in front of the server may be stricter.
+
+    ``head_seconds``, ``body_seconds``: for the head of a request, and for its body.
+    ``stall_seconds``: for which a client may take less than 1 kB a second.
+    ``idle_seconds``: for which a connection without a request is kept.
+    ``unsent_mb``: megabytes of answers that clients have not taken yet; above that the slowest is
+    closed.
+    ``body_bytes``: most bytes in the body of a request; above that: 413.
+    ``render_queue``: frames that may wait for a thread, each for ``queue_seconds``; else: 429.
+    ``stream_bytes``, ``stream_rate``: most bytes of one message to a stream, and most messages in a
+    second.
+    ``stream_idle_seconds``: without a message, after which a stream is closed.
+    """
+
+    head_seconds: int = 10
+    body_seconds: int = 10
+    stall_seconds: int = 20
+    idle_seconds: int = 5
+    unsent_mb: int = 1024
+    body_bytes: int = 64 * 1024
+    render_queue: int = 64
+    queue_seconds: float = 10.0
+    stream_bytes: int = 16384
+    stream_rate: int = 600
+    stream_idle_seconds: float = 3600.0
+
+
+FIXED = "is no setting any more, isogi keeps it at {}: remove it"
+
+FORMER_SETTING_NAMES = {
+    "sharp_mb": "is called projected_mb now: rename it",
+    "max_unsent_mb": FIXED.format(Patience().unsent_mb),
+    "max_body_bytes": FIXED.format(Patience().body_bytes),
+    **{
+        name: FIXED.format(f"{value:g}")
+        for name, value in Patience()._asdict().items()
+        if name not in ("unsent_mb", "body_bytes")
+    },
+}
+"""Names of former settings, each with what is said of it."""
 
 
 def cores() -> int:
@@ -95,8 +135,8 @@ class Settings(BaseSettings):
         2048,
         ge=1,
         le=1 << 20,
-        description="Megabytes of voxels, mapped from a copy on the disk, that a process "
-        "holds; volumes of at most an eighth of it are in memory without a copy.",
+        description="Megabytes of voxels that a process has room for: volumes of at most an "
+        "eighth of it are in memory, larger ones are mapped from a copy on the disk.",
     )
     volume_cache: str | None = Field(
         None,
@@ -176,9 +216,6 @@ class Settings(BaseSettings):
     max_paths: int = Field(
         2**26, ge=1, description="Most paths (pixels × samples) in one path-traced picture."
     )
-    max_body_bytes: int = Field(
-        64 * 1024, ge=0, description="Most bytes in the body of a request; above that: 413."
-    )
     uploads_mb: int | None = Field(
         None,
         ge=0,
@@ -218,43 +255,16 @@ class Settings(BaseSettings):
     max_client_connections: int = Field(
         256, ge=1, description="Connections at a time from one address."
     )
-    head_seconds: int = Field(10, ge=1, description="Seconds for the head of a request.")
-    body_seconds: int = Field(10, ge=1, description="Seconds for the body of a request.")
-    stall_seconds: int = Field(
-        20, ge=1, description="Seconds for which a client may take less than 1 kB a second."
-    )
-    max_unsent_mb: int = Field(
-        1024,
-        ge=1,
-        description=(
-            "Megabytes of answers that clients have not taken yet; above that the slowest is "
-            "closed."
-        ),
-    )
-    idle_seconds: int = Field(
-        5, ge=1, description="Seconds for which a connection without a request is kept."
-    )
     render_threads: int = Field(
         default_factory=lambda: max(4, 2 * cores()),
         ge=1,
         le=256,
         description="Frames rendered at a time; default: two per core, at least 4.",
     )
-    render_queue: int = Field(
-        64, ge=0, description="Frames that may wait for a thread; above that: 429."
-    )
-    queue_seconds: float = Field(
-        10, gt=0, description="Seconds that a frame may wait for a thread; after that: 429."
-    )
     streams: int = Field(
         64, ge=0, description="Streams and listeners to events at a time; above that: 429."
     )
     jobs: int = Field(16, ge=0, description="Jobs at a time; above that: 429.")
-    stream_bytes: int = Field(16384, ge=256, description="Most bytes of one message to a stream.")
-    stream_rate: int = Field(600, ge=1, description="Most messages to a stream in a second.")
-    stream_idle_seconds: float = Field(
-        3600, gt=0, description="Seconds without a message after which a stream is closed."
-    )
     shutdown_seconds: int = Field(
         10, ge=0, description="Seconds for which a stopping server completes open requests."
     )
@@ -315,12 +325,25 @@ class Settings(BaseSettings):
                 ) from None
         return value
 
+    _patience: Patience = PrivateAttr(default=Patience())
+
+    @property
+    def patience(self) -> Patience:
+        """Return how long the server waits for clients."""
+        return self._patience
+
+    def with_patience(self, patience: Patience) -> Self:
+        """Return these settings with another ``patience``, as tests need it."""
+        changed = self.model_copy()
+        changed._patience = patience
+        return changed
+
     @model_validator(mode="before")
     @classmethod
     def renamed(cls, given: Any) -> Any:
         """Raise ValueError if a former name of a setting is given; else return the input."""
         for former in FORMER_SETTING_NAMES.keys() & dict(given):
-            raise ValueError(f"{former} is called {FORMER_SETTING_NAMES[former]} now: rename it")
+            raise ValueError(f"{former} {FORMER_SETTING_NAMES[former]}")
         return given
 
     @model_validator(mode="before")
@@ -437,9 +460,9 @@ def read_settings(config: Path | None = None, **given: Any) -> Settings:
     Raises pydantic's ValidationError; ValueError if the file is not TOML, or a former name is
     given; OSError if the file cannot be read.
     """
-    for former, name in FORMER_SETTING_NAMES.items():
+    for former, sentence in FORMER_SETTING_NAMES.items():
         if former in given or f"ISOGI_{former.upper()}" in os.environ:
-            raise ValueError(f"{former} is called {name} now: rename it")
+            raise ValueError(f"{former} {sentence}")
     if config is None:
         return Settings(**given)
     # Raise OSError for a missing file, which pydantic would take as an empty one.

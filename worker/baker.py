@@ -257,10 +257,10 @@ class Baker:
         """Leave cores to frames and a browser while a view moves: half of the workers rest for
         CLEAR_CORES_SECONDS.
 
-        The other half get one task each, at lower priority. Workers on other machines go on.
+        The other half get one task each. Workers on other machines go on.
         """
         pool = self._pool
-        if pool is not None and pool.step_back(CLEAR_CORES_SECONDS):
+        if pool is not None and pool.here:
             self._way = self._clock()
 
     def leave(self, viewer: Viewer) -> None:

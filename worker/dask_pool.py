@@ -116,6 +116,7 @@ class DaskPool:
     together = MAX_TASK_TEXELS
     preparing = ""
     keeps_light = False
+    here = False
 
     def __init__(self, scheduler: str) -> None:
         """Join the ``scheduler`` by its address, such as ``tcp://host:8786``.
@@ -199,10 +200,6 @@ class DaskPool:
 
     def prepare(self, work: Callable[[], object]) -> None:
         """Do nothing, as joined workers prepare when they start."""
-
-    def step_back(self, seconds: float) -> bool:
-        """Return False, and leave the workers as they are: they may serve others."""
-        return False
 
     def pids(self) -> list[int]:
         """Return the process ids of the workers, on their machines."""

@@ -22,7 +22,7 @@ from isogi_core.model.scene_plan import ScenePlan
 from worker.errors import LostWorkerError, WorkersAwayError, WorkersError
 from worker.fork_server import START_METHOD, start_fork_server
 from worker.local_worker import LAST_SECONDS, Answer, Job, Start, run_worker
-from worker.niceness import Sessions, leads_session, worker_niceness
+from worker.niceness import worker_niceness
 from worker.pool import (
     MAX_TASK_TEXELS,
     TASKS_AHEAD,
@@ -105,6 +105,7 @@ class LocalPool:
     connected = True
     together = MAX_TASK_TEXELS
     keeps_light = True
+    here = True
 
     def __init__(
         self,
@@ -124,7 +125,6 @@ class LocalPool:
         self._baked = set[str]()
         self._deaths = 0
         self._stir: Callable[[], None] = lambda: None
-        self._sessions = Sessions(self._leaders)
         self._waiting: deque[Sent] = deque()
         self._ahead: deque[tuple[LocalWorker, Sent]] = deque()
         self._workers: list[LocalWorker] = []
@@ -199,11 +199,6 @@ class LocalPool:
         job = Sent(pickle.dumps(Job(attempt, (work,))), lambda *_: None)
         self.tell([(worker, job) for worker in self._workers])
 
-    def step_back(self, seconds: float) -> bool:
-        """Lower the priority of the workers for ``seconds``."""
-        self._sessions.step_back(seconds)
-        return True
-
     def pids(self) -> list[int]:
         """Return the process ids of the workers that take jobs."""
         with self._lock:
@@ -215,7 +210,6 @@ class LocalPool:
             self._closed = True
         self._wake()
         self._keeper.join()
-        self._sessions.close()
         left = [*self._waiting, *(sent for worker in self._workers for sent in worker.sent)]
         self._end()
         for sent in left:
@@ -382,10 +376,6 @@ class LocalPool:
         self._workers.clear()
         self._woken.close()
         self._waker.close()
-
-    def _leaders(self) -> list[int]:
-        """Return the workers that lead sessions of their own."""
-        return [pid for pid in self.pids() if leads_session(pid)]
 
 
 def ended(answers: Connection, deadline: float) -> bool:

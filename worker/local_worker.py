@@ -61,7 +61,7 @@ def run_worker(jobs: Connection, answers: Connection, start: Start) -> None:
     signal.signal(signal.SIGTERM, end_later)
     os.environ.clear()
     os.environ.update(start.environment)
-    stand_behind(start.niceness, apart=True)
+    stand_behind(start.niceness)
     # A thread reads the pipe, so that the server never waits for this process to finish a job.
     waiting: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
     closed = threading.Event()

@@ -83,10 +83,9 @@ class WorkerPool(Protocol):
         Failure is ignored, as that task fails, too.
         """
 
-    def step_back(self, seconds: float) -> bool:
-        """Lower the priority of the workers of this machine for ``seconds``;
-        return False if they are not this server's.
-        """
+    @property
+    def here(self) -> bool:
+        """True if the workers share this machine with the server, and serve no other."""
 
     def pids(self) -> list[int]:
         """Return the process ids of the workers."""

@@ -52,7 +52,6 @@ from isogi_core.kernels.transport.transfer import (
     bake_coloured_texels,
     bake_irradiance,
     bake_texels,
-    find_strays,
     locate_texels,
     project_texels,
 )
@@ -107,15 +106,12 @@ class WholeLight:
         light: Light,
         waiting: np.ndarray,
         places: Sequence[tuple[Index, np.ndarray]],
-        walks: bool,
     ) -> np.ndarray:
         """Copy light of the whole to texels of the cut whose light the cut does not change; return
         the texels that got it, (m,) bool.
 
         ``light`` is changed in place. Its rows are the texels of ``places``, pairs of a chunk and
-        offsets in it, in order. ``waiting`` (m,) bool marks the texels that may take light. Without
-        ``walks``, only texels get light for which it follows from values alone; otherwise paths are
-        traced again.
+        offsets in it, in order. ``waiting`` (m,) bool marks the texels that may take light.
         """
         lattice = self.chunks.spec.prepared.lattice
         kept = np.zeros(len(light), np.bool_)
@@ -142,10 +138,7 @@ class WholeLight:
         whole.agree_on_void()
         # Take light of more samples only, and only if no path of it met matter that is cut away.
         ahead = np.flatnonzero(whole.samples > light.samples[every])
-        places_ahead = np.concatenate(texels)[ahead]
-        stays = ahead[
-            find_kept(whole.rows(ahead), places_ahead, self.chunks.spec, self.remains, walks)
-        ]
+        stays = ahead[find_kept(np.concatenate(texels)[ahead], self.chunks.spec, self.remains)]
         light.put(every[stays], whole.rows(stays))
         kept[every[stays]] = True
         return kept
@@ -161,7 +154,6 @@ def light_of_whole(spec: BakeSpec, planes: str, cut: BakeSpec, store: Store) -> 
     left = cut.prepared.scene.volume
     if not keeps(spec) or cut_digest(whole, planes) != left.digest:
         return None
-    load((find_strays,))
     return WholeLight(ChunkStore(store, spec), Remains.of(whole, voxels_left(whole, planes)))
 
 
@@ -541,7 +533,7 @@ def bake_chunks(
         [spec.prepared.lattice.positions(task.index, task.offsets) for task in tasks]
     )
     # Texels of a cut may keep light of the whole; this light cost no paths.
-    kept = keep_light(light, texels, spec, tasks)
+    kept = keep_light(light, spec, tasks)
     before[kept] = light.samples[kept]
     sample_texels(light, texels, spec, *tasks)
     # Put the light back into the chunks, and write those that the server does not keep.
@@ -633,13 +625,9 @@ def save(each: Unwritten, chunk_store: ChunkStore, claims: Claims) -> bool:
     return met
 
 
-def keep_light(
-    light: Light, texels: np.ndarray, spec: BakeSpec, tasks: Sequence[BakeTask]
-) -> np.ndarray:
-    """Give texels of tasks of one bake the light of the whole that a cut does not change, in place;
-    return these, (m,) bool.
-
-    ``texels`` (m, 3; z, y, x) belong to the rows of ``light``.
+def keep_light(light: Light, spec: BakeSpec, tasks: Sequence[BakeTask]) -> np.ndarray:
+    """Give texels without light, of tasks of one bake, the light of the whole that a cut does not
+    change, in place; return these, (m,) bool.
     """
     first = tasks[0]
     own = first.source, first.plan, first.digest, first.store_url, first.assets
@@ -650,23 +638,8 @@ def keep_light(
     if lender is None:
         return np.zeros(len(light), np.bool_)
     places = [(task.index, task.offsets) for task in tasks]
-    # Texels without light take it immediately if their isosurface does not exist in the part that
-    # is cut away.
-    kept = lender.lend(
-        light, next_samples(light, spec, first.target, first.enough) == 0, places, walks=False
-    )
-    # The others take the first level of samples in the cut volume, so that light let in by the cut
-    # shows soon.
-    sample_texels(
-        light, texels, spec, *(replace(task, until=min(task.until, FIRST_LEVEL)) for task in tasks)
-    )
-    # Before they take more, trace the paths of their old light again, and keep it if none met the
-    # part that is cut away.
-    going_on = np.repeat(
-        [task.until > FIRST_LEVEL for task in tasks], [len(task.offsets) for task in tasks]
-    )
-    waiting = going_on & (next_samples(light, spec, first.target, first.enough) == FIRST_LEVEL)
-    return kept | lender.lend(light, waiting, places, walks=True)
+    waiting = next_samples(light, spec, first.target, first.enough) == 0
+    return lender.lend(light, waiting, places)
 
 
 def sample_texels(light: Light, texels: np.ndarray, spec: BakeSpec, *tasks: BakeTask) -> None:

@@ -44,7 +44,7 @@ def copy(tasks: Sequence[BakeTask], line: Connection) -> None:
     """The life of one copy, as nice as a worker: bake those of the tasks that are named, until none
     are.
     """
-    stand_behind(worker_niceness(), apart=True)
+    stand_behind(worker_niceness())
     line.send(climb(tasks[0]))
     while share := line.recv():
         begun = time.perf_counter()

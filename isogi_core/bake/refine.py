@@ -4,8 +4,8 @@ After each level light is rounded to the numbers that the store keeps. A texel w
 therefore has the same bits for any number of workers and of calls, and the parts of a texel that
 climb next follow from its record in the store alone.
 
-``find_kept`` serves cuts: if no path of a texel met matter that a cut takes away, all of its paths
-keep their points, and its light keeps its bits.
+``find_kept`` serves cuts: if the isosurface of a texel is not in what a cut takes away, all of its
+paths keep their points, and its light keeps its bits.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -35,11 +35,9 @@ from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRang
 from isogi_core.kernels.transport.room_paths import fill_seeds
 from isogi_core.kernels.transport.transfer import (
     TEXEL_PROJECTED,
-    Confines,
     bake_coloured_texels,
     bake_irradiance,
     bake_texels,
-    find_strays,
     locate_texels,
     project_texels,
 )
@@ -505,67 +503,16 @@ class Remains:
         return cls(box, values_beyond(volume, box))
 
 
-def find_kept(
-    light: Light, texels: np.ndarray, whole: BakeSpec, remains: Remains, walks: bool
-) -> np.ndarray:
-    """Return which of the ``texels`` (m, 3; z, y, x) keep their ``light`` in a cut of a ``whole``
+def find_kept(texels: np.ndarray, whole: BakeSpec, remains: Remains) -> np.ndarray:
+    """Return which of the ``texels`` (m, 3; z, y, x) keep their light in a cut of a ``whole``
     volume; (m,) bool.
 
-    A texel keeps it if its point, and all points that its paths met so far, lie in the box that is
-    left. With ``walks``, paths of texels that might have met something there are traced once
-    more, each texel's only until the first hit there; otherwise such texels lose their light.
+    A texel keeps it if it and its point lie in the box that is left, and if the isosurface of the
+    texel does not exist outside of the box, so that no path can have met it there.
     """
     prepared = whole.prepared
-    box = remains.box
-    # Texel and point must lie inside of the box that is left.
     place, _ = locate(texels, prepared)
-    kept = is_within(texels[:, ::-1] * prepared.step, box) & is_within(place[1].T, box)
-    # If the isosurface of a texel does not exist outside of the box, no path can have met it there.
-    may_stray = (place[3] >= remains.beyond[0]) & (place[3] <= remains.beyond[1])
-    if not walks:
-        return kept & ~may_stray
-    # Trace the other texels' paths again, and drop those that meet something outside.
-    for some, samples, bounces in walks_of(light.parts, whole.plan.bounces):
-        rows = kept & some & may_stray & ~light.void
-        confines = Confines(bounces, whole.plan.survival, whole.plan.branches, box)
-        kept &= ~strays_of(place, rows, whole, samples, confines)
-    return kept
-
-
-def walks_of(parts: Sequence[Part], bounces: int) -> Iterator[tuple[np.ndarray, SampleRange, int]]:
-    """Yield the paths that ``parts`` took, level by level: which texels (m,) bool took them, their
-    samples in each half, and their bounces.
-
-    Paths of parts without reflected light end with their first ray.
-    """
-    first = 0
-    most = max((int(part.samples.max(initial=0)) for part in parts), default=0)
-    while first < most:
-        last = next_level(first)
-        some = SampleRange(first // 2, (last - first) // 2)
-        # Paths with bounces include the first ray of those without.
-        long, short = (took(parts, last, reflected) for reflected in (True, False))
-        yield long, some, bounces
-        yield short & ~long, some, 0
-        first = last
-
-
-def took(parts: Sequence[Part], samples: int, reflected: bool) -> np.ndarray:
-    """Return which texels took at least ``samples`` in any part with ``reflected`` light, or
-    without; (m,) bool.
-    """
-    taken = [part.samples >= samples for part in parts if part.layer.reflected == reflected]
-    return np.logical_or.reduce([np.zeros(len(parts[0].samples), np.bool_), *taken])
-
-
-def strays_of(
-    place: Place, rows: np.ndarray, spec: BakeSpec, samples: SampleRange, confines: Confines
-) -> np.ndarray:
-    """Return which of some ``rows`` (m,) bool have a path among these ``samples`` that met
-    something outside of ``confines``.
-    """
-    # Trace the paths of these texels, in groups of near isovalues, until the first stray of each.
-    strays = np.zeros(len(rows), np.bool_)
-    for cells, some in by_isovalue(place[3], ~rows, spec.prepared):
-        find_strays(spec.prepared.field, cells, place, some, samples, confines, strays)
-    return strays
+    positions = texels[:, ::-1] * prepared.step
+    within = is_within(positions, remains.box) & is_within(place[1].T, remains.box)
+    lowest, highest = remains.beyond
+    return within & ((place[3] < lowest) | (place[3] > highest))

@@ -278,7 +278,54 @@ def source_at(text: str, overrides: Mapping[str, Any]) -> SceneSource:
             f"The scene {path} has lists or tables in each other beyond all use: write it again."
         ) from None
     name = readable(path.stem)
+    document = with_research(document, name)
     return SceneSource(name, labels_as_volume({**document, **overrides}, name), path.parent)
+
+
+RESEARCH_KEYS = (
+    "chunk",
+    "indirect_order",
+    "lobes",
+    "normals",
+    "offset",
+    "order",
+    "precision",
+    "representation",
+)
+"""Keys of a scene file that stand in its table [research]: the plan decides them for everybody
+else.
+"""
+
+
+def with_research(document: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """Return the document of a scene file with the keys of its table [research] among the others.
+
+    Raises SceneError if such a key stands elsewhere, or if another key stands in the table.
+    """
+    for key in RESEARCH_KEYS:
+        if key in document:
+            raise SceneError(
+                f"The scene '{name}' sets {key} among its own keys: write it under [research], at "
+                "the file's end."
+            )
+    research = document.get("research", {})
+    if not isinstance(research, Mapping):
+        raise SceneError(
+            f"The scene '{name}' has research = {research!r}: write a table [research]."
+        )
+    for key in research:
+        if key not in RESEARCH_KEYS:
+            raise SceneError(
+                f"The scene '{name}' sets {key} under [research]: {advice(key, RESEARCH_KEYS)}"
+            )
+    return {**{key: value for key, value in document.items() if key != "research"}, **research}
+
+
+def as_written(document: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a document as scene files have it, with the keys of RESEARCH_KEYS under [research]."""
+    plain = {key: value for key, value in document.items() if key not in RESEARCH_KEYS}
+    research = {key: value for key, value in document.items() if key in RESEARCH_KEYS}
+    return {**plain, "research": research} if research else plain
 
 
 def split_name(text: str) -> tuple[str, str, str]:

@@ -191,18 +191,22 @@ Lamp = DirectionalLight | PointLight | AreaLight
 Light = ConstantLight | SkyLight | ProbeLight | EnvironmentLight | Lamp
 
 
+PROBE_SUFFIXES = (".hdr", ".exr")
+"""What names of probes end in."""
+
+
 def light_named(environment: str, base: Path) -> EnvironmentLight | ProbeLight:
     """Return the environment of that name, or the probe in a file, relative to ``base``. Raises
     SceneError if it is neither.
     """
     if environment in ENVIRONMENTS:
         return EnvironmentLight(environment)
-    if environment.lower().endswith(".hdr"):
+    if environment.lower().endswith(PROBE_SUFFIXES):
         return ProbeLight(base / environment)
     names = ", ".join(ENVIRONMENTS)
     raise SceneError(
         f"There is no environment '{environment[:80]}': choose {names}, or the file of a "
-        "probe, .hdr."
+        "probe, .hdr or .exr."
     )
 
 

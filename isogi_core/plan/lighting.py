@@ -11,7 +11,7 @@ import numpy as np
 
 from isogi_core.errors import LightError, SceneError, ViewError
 from isogi_core.files.mappings import require_memory
-from isogi_core.files.radiance import read_hdr
+from isogi_core.files.probes import read_probe
 from isogi_core.files.scene_file import Settings
 from isogi_core.model.choices import MAX_GLOW_STRENGTH
 from isogi_core.model.environment import (
@@ -248,7 +248,7 @@ def _sum(around: Sequence[ConstantLight | SkyLight | ProbeLight | EnvironmentLig
 def _image(light: SkyLight | ProbeLight | EnvironmentLight) -> np.ndarray:
     """Return the lat-long image (h, w, 3) of a sky, a probe or an environment by formula."""
     if isinstance(light, ProbeLight):
-        return light.scale * _checked(read_hdr(light.file), f"The probe '{light.file}'").astype(
+        return light.scale * _checked(read_probe(light.file), f"The probe '{light.file}'").astype(
             np.float64
         )
     return _sky(light)

@@ -120,7 +120,9 @@ def middleware(settings: Settings, metrics: Metrics, closing: Closing) -> list[M
         Middleware(KnownOrigins, origins=origins),
         *([shared] if origins else []),
         *([Middleware(TokenBearers, bearers=bearers)] if bearers else []),
-        Middleware(SmallBodies, limit=settings.max_body_bytes, upload=settings.max_upload_mb << 20),
+        Middleware(
+            SmallBodies, limit=settings.patience.body_bytes, upload=settings.max_upload_mb << 20
+        ),
         Middleware(HeadAsGet),
     ]
 

@@ -88,7 +88,7 @@ class StreamConnection(WebSocketsSansIOProtocol):
             self._left = left
             self._moved = now
         if left:
-            patience = self._moved + self.config.settings.stall_seconds  # type: ignore[attr-defined]
+            patience = self._moved + self.config.settings.patience.stall_seconds  # type: ignore[attr-defined]
         else:
             # A proxy has taken all bytes, and passes them on at the pace of the link beyond.
             patience = self.ping_sent_at + self._written / PACE
@@ -162,10 +162,10 @@ class ServerConfig(Config):
             server_header=False,
             proxy_headers=bool(settings.trusted_proxies),
             forwarded_allow_ips=list(settings.trusted_proxies),
-            timeout_keep_alive=settings.idle_seconds,
+            timeout_keep_alive=settings.patience.idle_seconds,
             timeout_graceful_shutdown=settings.shutdown_seconds + 2,
             ws=StreamConnection,
-            ws_max_size=settings.stream_bytes,
+            ws_max_size=settings.patience.stream_bytes,
             ws_per_message_deflate=False,  # Pictures are compressed already.
             ws_ping_interval=PING,
             ws_ping_timeout=PING,
@@ -254,7 +254,10 @@ class Connection(H11Protocol):
         # Answers that wait for slow clients take memory from everybody. One slow client alone keeps
         # its connection: nobody else waits for memory.
         slow = [each for each in self.connections if isinstance(each, Connection) and each.unsent]
-        if sum(each.unsent for each in slow) > self.settings.max_unsent_mb << 20 and len(slow) > 1:
+        if (
+            sum(each.unsent for each in slow) > self.settings.patience.unsent_mb << 20
+            and len(slow) > 1
+        ):
             min(slow, key=lambda each: each._taken).drop("memory")
 
     def handle_websocket_upgrade(self, event: h11.Request) -> None:
@@ -308,7 +311,7 @@ class Connection(H11Protocol):
         ) in UPLOADS and self.conn.our_state is h11.SEND_RESPONSE
         if uploading:
             return self.settings.upload_seconds
-        return self.settings.body_seconds
+        return self.settings.patience.body_seconds
 
     @property
     def unsent(self) -> int:
@@ -322,7 +325,7 @@ class Connection(H11Protocol):
         if part == "body":
             patience = self.body_seconds
         else:
-            patience = self.settings.head_seconds
+            patience = self.settings.patience.head_seconds
         if part is not None and now - self._since > patience:
             self.give_up(part, f"The {part} of the request was not there within {patience} s.")
         elif self._stalls(now):
@@ -392,13 +395,13 @@ class Connection(H11Protocol):
     def _stalls(self, now: float) -> bool:
         """Return True if the client has taken less than PACE of an answer for ``stall_seconds``."""
         unsent = self.unsent
-        least = self._unsent - PACE * self.settings.stall_seconds
+        least = self._unsent - PACE * self.settings.patience.stall_seconds
         # Measure again if all is sent, more is queued, or enough was taken since the last
         # measurement.
         if not unsent or unsent > self._unsent or unsent <= least:
             self._unsent = unsent
             self._taken = now
-        return unsent > 0 and now - self._taken > self.settings.stall_seconds
+        return unsent > 0 and now - self._taken > self.settings.patience.stall_seconds
 
     def _leave(self) -> None:
         """Close the connection if no request has come."""

@@ -109,10 +109,10 @@ class Service:
         self.uploads = Uploads(engine, settings)
         self.exports = ExportFolder(settings.exports_mb << 20)
         self.variants = Variants(
-            engine, self.uploads.environment_at, patience=settings.queue_seconds
+            engine, self.uploads.environment_at, patience=settings.patience.queue_seconds
         )
         self._requests = AdmissionLimit(
-            settings.render_threads + settings.render_queue, "frames wait", work=True
+            settings.render_threads + settings.patience.render_queue, "frames wait", work=True
         )
         self._refining = 0
 
@@ -249,7 +249,9 @@ class Service:
         """Return the result of some ``work`` for a request, run on a thread. Raises as
         ``render`` does.
         """
-        rank = self.rank(request_viewer(request), REQUEST_PATIENCE, self.settings.queue_seconds)
+        rank = self.rank(
+            request_viewer(request), REQUEST_PATIENCE, self.settings.patience.queue_seconds
+        )
         with self._requests.admitted(client_of(request.scope)) as place:
             return await run_while_connected(
                 request, place.keep(self.threads.pictures.run(work, rank))
@@ -323,7 +325,7 @@ class Service:
             smooth = picture.view.smooth and self.startup.lit.is_set()
             picture = replace(picture, view=replace(picture.view, smooth=smooth))
         else:
-            await self.startup.others(picture.view.shading, self.settings.queue_seconds)
+            await self.startup.others(picture.view.shading, self.settings.patience.queue_seconds)
 
         def work(cancelled: threading.Event) -> Frame:
             frame = self.engine.survey(
@@ -455,7 +457,7 @@ class Service:
         """Return ``finish`` of the picture once its light is baked, or after ``wait`` seconds."""
         watch = Stopwatch()
         loop = asyncio.get_running_loop()
-        rank = self.rank(viewer, REQUEST_PATIENCE, self.settings.queue_seconds)
+        rank = self.rank(viewer, REQUEST_PATIENCE, self.settings.patience.queue_seconds)
         deadline = loop.time() + wait
         try:
             # Draw the picture, and draw it again when all light that was coming for it has come.

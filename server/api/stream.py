@@ -174,7 +174,7 @@ class Inbox:
 
     def __init__(self, socket: WebSocket, settings: Settings, place: Place) -> None:
         self._socket = socket
-        self._settings = settings
+        self._patience = settings.patience
         self._place = place
         self._second = 0
         self._count = 0
@@ -185,11 +185,12 @@ class Inbox:
         """
         try:
             message = await asyncio.wait_for(
-                self._socket.receive(), self._settings.stream_idle_seconds
+                self._socket.receive(), self._patience.stream_idle_seconds
             )
         except TimeoutError:
             raise StreamError(
-                f"No message for {self._settings.stream_idle_seconds:g} seconds.", CLOSE_IDLE
+                f"No message for {self._patience.stream_idle_seconds:g} seconds.",
+                CLOSE_IDLE,
             ) from None
         if message["type"] == "websocket.disconnect":
             return None
@@ -199,9 +200,10 @@ class Inbox:
         text = message.get("text")
         if text is None:
             raise StreamError("Messages must be text.", CLOSE_POLICY)
-        if len(text.encode()) > self._settings.stream_bytes:
+        if len(text.encode()) > self._patience.stream_bytes:
             raise StreamError(
-                f"A message is longer than {self._settings.stream_bytes} bytes.", CLOSE_TOO_BIG
+                f"A message is longer than {self._patience.stream_bytes} bytes.",
+                CLOSE_TOO_BIG,
             )
         return str(text)
 
@@ -214,9 +216,10 @@ class Inbox:
         else:
             self._count = 1
         self._second = second
-        if self._count > self._settings.stream_rate:
+        if self._count > self._patience.stream_rate:
             raise StreamError(
-                f"More than {self._settings.stream_rate} messages in a second.", CLOSE_POLICY
+                f"More than {self._patience.stream_rate} messages in a second.",
+                CLOSE_POLICY,
             )
 
 

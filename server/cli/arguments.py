@@ -121,7 +121,9 @@ SWITCH_OPTIONS = ("insecure_scheduler",)
 """Options that take no value."""
 
 
-LIGHT_HELP = f"Light in place of the scene's: {', '.join(ENVIRONMENTS)}, or a probe's file (.hdr)"
+LIGHT_HELP = (
+    f"Light in place of the scene's: {', '.join(ENVIRONMENTS)}, or a probe's file (.hdr, .exr)"
+)
 
 RAW_HELP = (
     "The content of a file without a header: sizes along x, y, z, type and byte order, such "

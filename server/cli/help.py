@@ -97,7 +97,7 @@ HELP_GROUPS = {
             "scheduler_key",
             "insecure_scheduler",
         ),
-        *("render_threads", "render_queue", "queue_seconds", "jobs"),
+        *("render_threads", "jobs"),
     ),
     "Access and limits": (
         *(
@@ -107,7 +107,6 @@ HELP_GROUPS = {
             "allowed_origins",
             "max_pixels",
             "max_paths",
-            "max_body_bytes",
         ),
         *("trusted_proxies", "exports_mb", "hand_out_voxels"),
     ),
@@ -116,13 +115,10 @@ HELP_GROUPS = {
         *(
             "max_connections",
             "max_client_connections",
-            "head_seconds",
-            "body_seconds",
-            "stall_seconds",
         ),
-        *("max_unsent_mb", "idle_seconds", "shutdown_seconds"),
+        "shutdown_seconds",
     ),
-    "Streams": ("streams", "stream_bytes", "stream_rate", "stream_idle_seconds"),
+    "Streams": ("streams",),
     "Log": ("log_format", "log_level"),
 }
 """The options of each group, by name; options without a group come first, under Options."""

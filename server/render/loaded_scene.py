@@ -1,24 +1,17 @@
-"""Loaded scenes: the renderer of each, the maps that it prefetches for a moving slider, and the
-scenes that are kept in memory.
-"""
+"""Loaded scenes: the renderer of each, and the scenes that are kept in memory."""
 
 import gc
 import logging
-import math
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import NamedTuple
-
-import numpy as np
 
 from isogi_core.allocation import give_memory_back
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache.scene_caches import Caches
-from isogi_core.errors import Cancelled, NoRoomError
+from isogi_core.errors import NoRoomError
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.rays.picture_plan import Prices
 from isogi_core.frame.renderer import Renderer
@@ -27,12 +20,10 @@ from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.lru_cache import LruCache
 from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.model.view import View
-from isogi_core.model.volume import Isovalue
 from isogi_core.plan.planner import complete
 from isogi_core.plan.scene import Scene
 from isogi_core.plan.variants import finer, has_finer
 from isogi_core.plan.volumes.masks import voxels_left
-from isogi_core.prepared.active_cell_maps import ActiveCellMaps
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.storage.store import Store
 from server.render.bakes import ShareAssets, share_nothing
@@ -74,163 +65,6 @@ def shared(total: int) -> Memory:
     return Memory(total - 2 * quarter, quarter, quarter)
 
 
-VALUES_AHEAD = 2
-"""Isovalues that are prepared ahead of a moving slider."""
-
-Prepare = Callable[[float, threading.Event], object]
-
-
-class Prefetch:
-    """Prepares maps of active cells for the isovalues that a moving slider will reach next. Safe
-    to use from many threads.
-
-    One map serves a whole group of isovalues: those from one of the ``levels`` to before the next.
-    So it is enough to prepare one isovalue of each group ahead.
-    """
-
-    def __init__(
-        self, prepare: Prepare, levels: np.ndarray, span: tuple[Isovalue, Isovalue]
-    ) -> None:
-        """Set the function that prepares: ``prepare(isovalue, cancelled)`` makes the map that
-        serves the isovalue's group. The ``levels`` divide isovalues into groups, see
-        ``next_values``.
-
-        ``span`` is the lowest and the highest isovalue that views may ask for.
-        """
-        self._prepare = prepare
-        self._levels = levels
-        self._span = span
-        self._thread: threading.Thread | None = None
-        self._lock = threading.Lock()
-        self._open = 0
-        self._last: float | None = None
-        self._coming: list[float] = []
-        self._preparing: float | None = None
-        self._closed = False
-        self._cancelled = threading.Event()
-        # Cancels the thread that prepares. It is set, too, when that thread has run out of work:
-        # so a set event always means that a new thread is needed.
-        self._cancelled.set()
-
-    @contextmanager
-    def frame(self, isovalue: Isovalue) -> Iterator[None]:
-        """Interrupt preparations while a frame of this ``isovalue`` is drawn, and resume them once
-        no frame is being drawn.
-
-        A preparation of the same group goes on, as this frame needs it.
-        """
-        level = float(isovalue)
-        with self._lock:
-            self._open += 1
-            if not self._serves(level):
-                self._cancelled.set()
-        # Frames come first: preparations use the same threads.
-        try:
-            yield
-        finally:
-            with self._lock:
-                self._open -= 1
-                self._note(level)
-                # Resume with what the slider will reach next.
-                if (
-                    self._coming
-                    and not self._open
-                    and self._cancelled.is_set()
-                    and not self._closed
-                ):
-                    self._begin_work()
-
-    def close(self) -> None:
-        """Stop, and return when the thread has ended."""
-        with self._lock:
-            self._closed = True
-            self._cancelled.set()
-            thread = self._thread
-        if thread is not None:
-            thread.join()
-
-    def _begin_work(self) -> None:
-        """Start a thread that ends with its work, as many scenes may be loaded and few sliders
-        move. The caller holds the lock.
-        """
-        self._cancelled = threading.Event()
-        work = (self._cancelled, self._thread)
-        self._thread = threading.Thread(target=self._work, args=work, name="prefetch")
-        self._thread.start()
-
-    def _note(self, isovalue: float) -> None:
-        """List the isovalues to come if the slider has moved."""
-        if self._last is not None and isovalue != self._last:
-            lowest, highest = self._span
-            self._coming = [
-                v for v in next_values(self._last, isovalue, self._levels) if lowest <= v <= highest
-            ]
-        self._last = isovalue
-
-    def _serves(self, isovalue: float) -> bool:
-        """Return True if the present preparation is for the group of this isovalue."""
-        now = self._preparing
-        return now is not None and group_of(now, self._levels) == group_of(isovalue, self._levels)
-
-    def _work(self, cancelled: threading.Event, former: threading.Thread | None) -> None:
-        """Prepare the isovalues to come, after the ``former`` thread has ended, until a frame
-        is asked for.
-        """
-        if former is not None:
-            former.join()
-        while (isovalue := self._begin(cancelled)) is not None:
-            try:
-                self._prepare(isovalue, cancelled)
-            except Cancelled:
-                return
-            # Another move may have changed the list meanwhile.
-            with self._lock:
-                if self._coming[:1] == [isovalue]:
-                    del self._coming[0]
-
-    def _begin(self, cancelled: threading.Event) -> float | None:
-        """Return the isovalue to prepare next; None, which ends the work, if none is coming or
-        a frame is being drawn.
-        """
-        with self._lock:
-            if self._open or not self._coming:
-                cancelled.set()
-            if cancelled.is_set():
-                self._preparing = None
-            else:
-                self._preparing = self._coming[0]
-            return self._preparing
-
-
-def next_values(before: float, now: float, levels: np.ndarray) -> list[float]:
-    """Extrapolate a slider that moved from ``before`` to ``now``: return the next isovalues at the
-    same pace, each in another group.
-
-    ``levels`` (m,) are the ascending lower ends of the groups, from -inf, and inf at last; there is
-    no group beyond them.
-    """
-    pace = now - before
-    coming = [now]
-    for _ in range(VALUES_AHEAD):
-        group = group_of(coming[-1], levels)
-        value = coming[-1] + pace
-        # A slow slider stays in its group for a while: go to the nearest value of the next group.
-        if group_of(value, levels) == group:
-            if pace > 0.0:
-                value = float(levels[group + 1])
-            else:
-                value = float(np.nextafter(levels[group], -math.inf))
-        coming.append(value)
-    return [value for value in coming[1:] if math.isfinite(value)]
-
-
-def group_of(isovalue: float, levels: np.ndarray) -> int:
-    """Return the number of the group that an isovalue is in: that of the highest level at or
-    below it.
-    """
-    return min(int(np.searchsorted(levels, isovalue, "right")), len(levels) - 1) - 1
-
-
 @dataclass(eq=False)
 class LoadedScene:
     """A scene that is ready to be rendered.
@@ -243,7 +77,6 @@ class LoadedScene:
 
     scene: Scene
     renderer: Renderer
-    prefetch: Prefetch
     memory: Memory
     share: ShareAssets
     assets: Assets | None = None
@@ -288,21 +121,19 @@ class LoadedScene:
         watch: Stopwatch,
         enough: int = FIRST_LEVEL,
     ) -> Frame:
-        """Return the frame of a view with the light baked so far; prefetching is interrupted
-        meanwhile. Raises as Renderer does.
+        """Return the frame of a view with the light baked so far. Raises as Renderer does.
 
         Finer texels are shown once the whole picture has them; until then the frame is drawn by the
         texels of this scene, and says that a finer one is coming.
         """
-        with self.prefetch.frame(self.renderer.prepared.surface(view.isovalue).isovalue):
-            # A frame that asks for all samples measures these texels, not finer ones.
-            if enough < MAX_SAMPLES:
-                coming = self._render_finer(view, target, cancelled, watch)
-            else:
-                coming = None
-            if coming is not None and (coming.measured is not None or not coming.provisional):
-                return coming
-            frame = self.renderer.render(view, target, cancelled, watch, enough)
+        # A frame that asks for all samples measures these texels, not finer ones.
+        if enough < MAX_SAMPLES:
+            coming = self._render_finer(view, target, cancelled, watch)
+        else:
+            coming = None
+        if coming is not None and (coming.measured is not None or not coming.provisional):
+            return coming
+        frame = self.renderer.render(view, target, cancelled, watch, enough)
         if coming is None:
             return replace(frame, quality=replace(frame.quality, fineness=self.fineness))
         last = coming.quality.finer or coming
@@ -337,12 +168,6 @@ class LoadedScene:
     def nbytes(self) -> int:
         """Return the bytes that it takes, finer texels included."""
         return SCENE_BYTES + self.renderer.nbytes + (self._finer.nbytes if self._finer else 0)
-
-    def close(self) -> None:
-        """Stop prefetching."""
-        self.prefetch.close()
-        if self._finer:
-            self._finer.close()
 
 
 def load_scene_parts(
@@ -416,19 +241,9 @@ def loaded(
     planned = replace(
         scene, plan=complete(caches.spec("gi").plan, scene.inputs, scene.settings.overrides)
     )
-    prefetch = Prefetch(partial(prepare, prepared.maps, tiles), prepared.maps.levels, scene.span)
     renderer = Renderer(caches, tiles, memory.views, stand_in=stand_in)
     assets = share(prepared)
-    return LoadedScene(planned, renderer, prefetch, memory, share, assets, fineness, whole)
-
-
-def prepare(
-    maps: ActiveCellMaps, tiles: Tiles, isovalue: float, cancelled: threading.Event
-) -> None:
-    """Build the map of active cells for an ``isovalue`` in the units of the voxels. Raises
-    Cancelled.
-    """
-    maps.covering(np.array([isovalue]), tiles.cancelled_by(cancelled).run)
+    return LoadedScene(planned, renderer, memory, share, assets, fineness, whole)
 
 
 IDLE_SCENE_SECONDS = 900.0
@@ -523,9 +338,7 @@ class LoadedScenes:
 
     def drop(self, scene: str) -> None:
         """Drop a scene if it is loaded."""
-        if (loaded := self._kept.held(scene)) is not None:
-            self._kept.drop(scene)
-            loaded.close()
+        self._kept.drop(scene)
         self._note()
 
     def close(self) -> None:

@@ -21,7 +21,8 @@ import numpy as np
 from isogi_core.errors import LightError
 from isogi_core.files.formats.nrrd import meaning_lines
 from isogi_core.files.grid import PATIENT_AXES, Grid, LabelName
-from isogi_core.files.radiance import encode_rgbe, parse_hdr
+from isogi_core.files.probes import parse_probe
+from isogi_core.files.radiance import encode_rgbe
 from isogi_core.model.environment import resample
 from isogi_core.model.volume import Orientation
 from isogi_core.plan.volumes.labels import MAX_LABELS
@@ -90,12 +91,13 @@ PROBE_HEADER_PATTERN = re.compile(
 
 
 def write_environment(file: IO[bytes], data: bytes, name: str) -> str:
-    """Write a Radiance picture as a canonical file; return its id, a digest of all but the name.
+    """Write a Radiance or OpenEXR picture as a canonical file; return its id, a digest of all but
+    the name.
 
     Raises LightError if it is no lat-long picture of light: not twice as wide as high, black, or
     damaged.
     """
-    image = parse_hdr(data, name or "the file", MOST_PIXELS)
+    image = parse_probe(data, name or "the file", MOST_PIXELS)
     height, width, _ = image.shape
     if width != 2 * height:
         raise LightError(

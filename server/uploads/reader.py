@@ -28,6 +28,7 @@ from isogi_core.errors import LightError, VolumeError
 from isogi_core.files.formats.opening import HEAD_BYTES, libraries_for, open_upload
 from isogi_core.files.grid import Grid, on_right_angles
 from isogi_core.files.plugins import LOAD_FAULTS
+from isogi_core.files.probes import EXR_LIBRARY, EXR_MAGIC
 from isogi_core.model.environment import resample
 from isogi_core.model.value_survey import survey
 from isogi_core.plan.volumes.labels import Segmentation
@@ -112,7 +113,11 @@ def rehearse(head: bytes) -> None:
     """
     survey(Grid.of(np.array([0.0, 1.0, np.nan, 1e30] * 2).reshape(2, 2, 2)), "above")
     resample(np.ones((4, 8, 3)), 2, 4)
-    for name in libraries_for(head):
+    if head.startswith(EXR_MAGIC):
+        libraries = [EXR_LIBRARY]
+    else:
+        libraries = libraries_for(head)
+    for name in libraries:
         # What fails to load, such as a plug-in's module, may belong to another kind.
         with contextlib.suppress(*LOAD_FAULTS):
             import_module(name)
@@ -156,5 +161,8 @@ if __name__ == "__main__":
     NAME, BODY, OUT, KIND, VOXELS = sys.argv[1:]
     if SECONDS := sys.stdin.readline():
         with contextlib.suppress(BrokenPipeError):
+            # Some libraries print to stdout: let the answer alone go there.
+            ANSWER = os.fdopen(os.dup(1), "w")
+            os.dup2(2, 1)
             FACTS = main(NAME, int(BODY), int(OUT), KIND, int(VOXELS), float(SECONDS))
-            print(line_of(FACTS), flush=True)  # noqa: T201
+            print(line_of(FACTS), file=ANSWER, flush=True)

@@ -312,7 +312,7 @@ class Uploads:
             self._check_room(SCENE_BYTES if kind == VOLUME_KIND else 0)
             async with Reader.started(body, draft, name, self.limit // VOXEL_BYTES, kind) as reader:
                 with name_folder_in_errors(self.folder.path):
-                    await place.keep(receive(request, body, self._settings.body_seconds))
+                    await place.keep(receive(request, body, self._settings.patience.body_seconds))
                 number = await run_while_connected(request, place.keep(self._read(reader)))
             # Check and change the folder as one step.
             async with self._changing:

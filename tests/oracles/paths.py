@@ -39,7 +39,6 @@ from tests.kernels.rooms import room_of, sky
 
 DARK = sky(0.0)
 NO_GLOWS = Glows(np.zeros((3, 0)), np.zeros((3, 0)), *np.zeros((6, 0)), NO_BITS)
-EVERYWHERE = np.array([[-math.inf] * 3, [math.inf] * 3])
 
 
 class World(NamedTuple):
@@ -74,8 +73,7 @@ class Start(NamedTuple):
 class Path(NamedTuple):
     """What a path brought: ``light`` (3,), ``glow`` (k, 3), and its end.
 
-    It left after ``bounces`` along ``way``, or never (-1), and ``carried`` (3,) then. It
-    ``strayed`` if it hit something outside of a box.
+    It left after ``bounces`` along ``way``, or never (-1), and ``carried`` (3,) then.
     """
 
     bounces: int
@@ -83,7 +81,6 @@ class Path(NamedTuple):
     carried: Any
     light: Any
     glow: Any
-    strayed: bool
 
 
 def one_surface(field, level=0.0, albedo=1.0, room=None):
@@ -296,7 +293,7 @@ def begin(world, start, carried):
 
 
 @njit(cache=True)
-def trace(world, sources, start, tree, branch, weight, box):
+def trace(world, sources, start, tree, branch, weight):
     """Trace one path of a ``PathTree`` from its ``start``, which carries ``weight`` (3,): its
     ``Path``.
 
@@ -307,7 +304,6 @@ def trace(world, sources, start, tree, branch, weight, box):
     levels = world.levels.copy()
     p = start.point
     sample = start.sample
-    strayed = False
     levels[0] = start.level
     total = np.zeros(3)
     glow = np.zeros((glows.rates.shape[0], 3))
@@ -336,8 +332,6 @@ def trace(world, sources, start, tree, branch, weight, box):
             way = w
             break
         p, n = stand(world, met, o, t, d, w, came)
-        for c in range(3):
-            strayed |= not box[0, c] <= p[c] <= box[1, c]
         if bounce == 0:
             sample = sample * tree.branches + branch
         elif (
@@ -352,7 +346,7 @@ def trace(world, sources, start, tree, branch, weight, box):
         on = met
         side = -came if other else came
         n = scale(n, -1.0) if other else n
-    return Path(left, way, carried, total, glow, strayed)
+    return Path(left, way, carried, total, glow)
 
 
 @njit(cache=True)
@@ -370,7 +364,7 @@ def trace_all(world, sources, starts, samples, tree, weight, paths):
         start = Start(
             p, n, starts.isovalues[i], starts.walls[i], starts.seeds[i], samples.first + m // g
         )
-        found = trace(world, sources, start, tree, 0, weight, EVERYWHERE)
+        found = trace(world, sources, start, tree, 0, weight)
         paths[:3, m] = found.light
         paths[3:, m] = found.glow.ravel()
 

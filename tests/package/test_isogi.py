@@ -151,7 +151,8 @@ def test_values_become_text_and_toml(tmp_path: Path) -> None:
     assert text_of(0.1) == "0.1" and text_of((1, 2)) == "1,2" and text_of("a") == "a"
     assert plain((np.float64(1.5), {"a": np.array([1, 2])})) == [1.5, {"a": [1, 2]}]
     (tmp_path / "probe.hdr").touch()
-    document = {"lights": [{"type": "probe", "file": "probe.hdr"}], "name": 'a "b"', "on": True}
+    lights = [{"type": "probe", "file": "probe.hdr"}]
+    document = {"lights": lights, "name": 'a "b"', "on": True, "order": 3}
     text = toml_of(SceneSource("a", document, tmp_path))
     assert f'file = "{tmp_path / "probe.hdr"}"' in text and r'name = "a \"b\""' in text
-    assert "on = true" in text
+    assert "on = true" in text and "\nresearch = { order = 3 }" in text

@@ -163,24 +163,27 @@ def test_isovalue_falls_into_the_range_that_views_may_ask_for(folder: Path) -> N
         ("bounces = 1.5", "bounces"),
         ("bounces = true", "bounces"),
         ("bounces = 1001", "bounces"),
-        ("order = 0", "order"),
-        ("order = 99", "order"),
-        ("indirect_order = 0", "indirect_order"),
-        ("lobes = 5", "lobes"),
-        ("lobes = -1", "lobes"),
-        ('precision = "double"', "precision"),
-        ('representation = "radiosity"', "representation"),
-        ('representation = "constant"', "representation"),
-        ('representation = "irradiance"', "representation"),
-        ('normals = "smooth"', "normals"),
-        ("offset = -0.1", "offset"),
-        ("offset = 3", "offset"),
+        ("[research]\norder = 0", "order"),
+        ("[research]\norder = 99", "order"),
+        ("[research]\nindirect_order = 0", "indirect_order"),
+        ("[research]\nlobes = 5", "lobes"),
+        ("[research]\nlobes = -1", "lobes"),
+        ('[research]\nprecision = "double"', "precision"),
+        ('[research]\nrepresentation = "radiosity"', "representation"),
+        ('[research]\nrepresentation = "constant"', "representation"),
+        ('[research]\nrepresentation = "irradiance"', "representation"),
+        ('[research]\nnormals = "smooth"', "normals"),
+        ("[research]\noffset = -0.1", "offset"),
+        ("[research]\noffset = 3", "offset"),
         ("lattice = 0", "lattice"),
         ("lattice = 8", "lattice"),
         ("lattice = inf", "lattice"),
-        ("chunk = 4", "chunk"),
-        ("chunk = 24", "chunk"),
-        ('chunk = "16"', "chunk"),
+        ("[research]\nchunk = 4", "chunk"),
+        ("[research]\nchunk = 24", "chunk"),
+        ('[research]\nchunk = "16"', "chunk"),
+        ("order = 3", r"sets order among its own keys: write it under \[research\]"),
+        ("[research]\nordre = 3", r"sets ordre under \[research\]: did you mean 'order'"),
+        ("research = 3", r"write a table \[research\]"),
         ("target_error = 0", "target_error"),
         ("target_error = 2", "target_error"),
         ("rotating = 1", "rotating"),
@@ -481,7 +484,7 @@ def test_otsu_of_one_value_is_within_its_range() -> None:
 
 
 CONSTANT = 'lights = [{ type = "constant" }]'
-TRANSFER = "order = 3\nindirect_order = 2\nbounces = 4\nlobes = 0"
+TRANSFER = "bounces = 4\n[research]\norder = 3\nindirect_order = 2\nlobes = 0"
 
 
 @pytest.mark.parametrize(
@@ -499,11 +502,11 @@ TRANSFER = "order = 3\nindirect_order = 2\nbounces = 4\nlobes = 0"
             ],
         ),
         (
-            f'{CONSTANT}\nrotating = false\nrepresentation = "irradiance"',
+            f'{CONSTANT}\nrotating = false\n[research]\nrepresentation = "irradiance"',
             ["a90eed555ec728f9d392", "66637a13f768b0036b59", "bd91eda79aaa3bb678c7"],
         ),
         (
-            f'{CONSTANT}\nnormals = "gradient"\noffset = 0.5\nchunk = 8',
+            f'{CONSTANT}\n[research]\nnormals = "gradient"\noffset = 0.5\nchunk = 8',
             ["77cafa47937588fd43c1", "cd684f5c70f7660cccba", "8455dbb5e99f92ddd242"],
         ),
     ],

@@ -11,8 +11,8 @@ from isogi_core.plan.assembly import load_scene
 from server.api.app import create_app
 from server.api.service import Service
 from server.render.engine import RenderEngine
-from server.settings import Settings
 from tests.live import live
+from tests.server.sockets import settings_of
 from worker.bake_requests import Key
 from worker.baker import Baker
 
@@ -51,6 +51,6 @@ def idle_server(scene: Path, store: Path, **settings: Any) -> Iterator[Idle]:
     engine = RenderEngine([loaded], str(store), baker=baker)
     engine.start_workers = lambda: None  # type: ignore[method-assign]
     until = f"/v1/scenes/{loaded.id}/coverage?width=8&height=8&shading=lambert"
-    app = create_app(engine, Settings(**settings))
+    app = create_app(engine, settings_of(**settings))
     with live(app, until) as url:
         yield Idle(url, baker, engine, app.state.service)

@@ -56,6 +56,7 @@ class InlinePool:
     room = 2
     together = 1
     keeps_light = False
+    here = True
     workers = 1
     deaths = 0
     trouble = ""
@@ -84,10 +85,6 @@ class InlinePool:
 
     def prepare(self, work: Callable[[], object]) -> None:
         """Open nothing ahead: this process has it."""
-
-    def step_back(self, seconds: float) -> bool:
-        """Stay: a thread shares the session of its process."""
-        return True
 
     def close(self) -> None:
         """End when the task at hand is done."""

@@ -16,7 +16,7 @@ from websockets.asyncio.client import connect
 from server.api.lifespan import Closing, GracefulShutdown
 from server.cli.serve import Server, listen
 from server.render.metrics import Metrics
-from server.settings import Settings
+from server.settings import Patience, Settings
 
 HEAD = b"GET /small HTTP/1.1\r\nHost: localhost\r\n"
 LARGE = 4 << 20
@@ -98,11 +98,17 @@ class Running:
         return sum(connection.unsent for connection in connections)
 
 
+def settings_of(**given: Any) -> Settings:
+    """Settings, of which some may be of the server's patience."""
+    patience = {name: given.pop(name) for name in Patience._fields if name in given}
+    return Settings(**given).with_patience(Patience(**patience))
+
+
 @contextmanager
 def running(app: FastAPI | None = None, **given: Any) -> Iterator[Running]:
     """A server for a while, with these settings."""
     app = app or small_app()
-    app.state.settings = Settings(**given)
+    app.state.settings = settings_of(**given)
     with listen("127.0.0.1", 0) as listener:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BUFFER)  # connections inherit it
         server = Server(app)

@@ -53,21 +53,17 @@ class FakePool:
         self.room = room
         self.together = 1
         self.keeps_light = False
+        self.here = True
         self.workers = 2
         self.deaths = 0
         self.in_flight: list[tuple[BakeTask, Done]] = []
         self.all_in_flight: list[tuple[Sequence[BakeTask], AllDone]] = []
-        self.stepped_back: list[float] = []
 
     def submit(self, task: BakeTask, done: Done) -> None:
         self.in_flight.append((task, done))
 
     def submit_all(self, tasks: Sequence[BakeTask], done: AllDone) -> None:
         self.all_in_flight.append((tasks, done))
-
-    def step_back(self, seconds: float) -> bool:
-        self.stepped_back.append(seconds)
-        return True
 
     def end(self, result: BakeResult | None = DONE, error: BaseException | None = None) -> BakeTask:
         task, done = self.in_flight.pop(0)
@@ -363,21 +359,9 @@ def test_half_the_workers_rest_while_a_view_moves(bench: Bench) -> None:
     assert len(pool.tasks()) == 3, "all that is left, in no time"
 
 
-def test_workers_that_there_are_step_back_while_a_view_moves(bench: Bench) -> None:
-    bench.baker.make_way()
+def test_workers_that_stand_elsewhere_go_on_while_a_view_moves(bench: Bench) -> None:
     pool = bench.employ(4)
-    bench.baker.make_way()
-    assert pool.stepped_back == [CLEAR_CORES_SECONDS]
-    bench.baker.stop()
-    bench.baker.make_way()
-    assert pool.stepped_back == [CLEAR_CORES_SECONDS]
-
-
-def test_workers_that_stand_elsewhere_go_on_while_a_view_moves(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(FakePool, "step_back", lambda self, seconds: False)
-    pool = bench.employ(4)
+    pool.here = False
     bench.baker.make_way()
     bench.request(1, 2, 3, 4, 5)
     assert len(pool.tasks()) == 4

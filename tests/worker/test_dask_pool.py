@@ -2,7 +2,6 @@
 
 import gc
 import logging
-import os
 import re
 import threading
 import time
@@ -71,11 +70,8 @@ def test_joined_workers_have_loaded_kernels_and_stay_as_nice(
     ):
         joined = DaskPool(others.scheduler_address)
         kernels = list(joined._client.run(kernels_of_this_process).values())
-        joined.step_back(1e-3)
-        sessions = [os.getsid(pid) for pid in joined.pids()]
         joined.close()
     assert kernels == [dict.fromkeys(named(BAKE), False)]
-    assert sessions == [os.getsid(0)]
 
 
 def test_tasks_whose_end_dask_does_not_report_are_noticed(

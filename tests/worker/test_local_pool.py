@@ -29,11 +29,10 @@ from tests.worker.pools import (
     sleep_for_ever,
     tasks_for,
 )
-from worker.baker import Baker
 from worker.errors import LostWorkerError, WorkersAwayError, WorkersError
 from worker.fork_server import WORKER_PROCESS_NAME
 from worker.local_pool import LocalPool
-from worker.niceness import BACK_NICENESS, FORWARD_NICENESS, WORKER_NICENESS
+from worker.niceness import WORKER_NICENESS
 from worker.pool import TASKS_AHEAD
 from worker.tasks import OPENING_KERNELS, PLAIN_LAYER_KINDS, bake_kernels, open_spec
 
@@ -92,41 +91,6 @@ def test_baking_stands_behind_the_server(pool: LocalPool) -> None:
     assert [psutil.Process(pid).nice() for pid in pool.pids()] == [expected] * WORKERS
     assert run(pool, os.getpriority, os.PRIO_PROCESS, 0) == [expected] * WORKERS
     assert os.getpriority(os.PRIO_PROCESS, 0) == before
-
-
-def in_autogroup() -> bool:
-    """Whether sessions share the cores here. A process in a control group of its own has an empty
-    file instead.
-    """
-    own = Path("/proc/self/autogroup")
-    return own.exists() and bool(own.read_text().strip())
-
-
-needs_autogroups = pytest.mark.skipif(not in_autogroup(), reason="no autogroups here")
-
-
-def session_niceness(pid: int) -> int:
-    return int(Path(f"/proc/{pid}/autogroup").read_text().split()[-1])
-
-
-def reach(pids: list[int], niceness: int) -> None:
-    """Wait until the sessions of all these processes have a niceness."""
-    assert wait_for(lambda: [session_niceness(pid) for pid in pids] == [niceness] * len(pids), LONG)
-
-
-@needs_autogroups
-def test_worker_sessions_have_low_priority_while_a_view_moves(pool: LocalPool) -> None:
-    pids = pool.pids()
-    own = session_niceness(os.getpid())
-    assert [os.getsid(pid) for pid in pids] == pids
-    reach(pids, FORWARD_NICENESS)
-    baker = Baker()
-    baker.employ(pool)
-    baker.make_way()
-    reach(pids, BACK_NICENESS)
-    assert session_niceness(os.getpid()) == own
-    reach(pids, FORWARD_NICENESS)
-    baker.stop()
 
 
 def test_kernels_are_loaded_and_not_compiled_again(

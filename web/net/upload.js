@@ -115,7 +115,7 @@ export function nameOfAll(chosen) {
  * @returns {boolean}
  */
 export function isProbe(file) {
-  return /\.hdr$/i.test(file);
+  return /\.(hdr|exr)$/i.test(file);
 }
 
 /**

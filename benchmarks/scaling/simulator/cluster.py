@@ -73,6 +73,7 @@ class Cluster:
 
     together = 1
     keeps_light = False
+    here = False
     """Chunks are baked one by one here."""
 
     @property
@@ -86,10 +87,6 @@ class Cluster:
         self._free_at = max(self._free_at, self._world.now) + self._conditions.dispatch
         job = Job(task, done)
         self._world.after(self._free_at - self._world.now, lambda: self._pass_on(job))
-
-    def step_back(self, seconds: float) -> bool:
-        """Stay: the workers stand on machines of their own."""
-        return False
 
     def _pass_on(self, job: Job) -> None:
         self._ready.append(job)

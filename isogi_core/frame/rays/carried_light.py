@@ -7,7 +7,7 @@ measure the picture afterwards, so that light which was carried too far shows as
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any, Self
 
@@ -44,6 +44,7 @@ class TracedPoints:
     - ``rows`` (height, width) int32: number of the point that a pixel shows, -1 if it has none.
     - ``points`` (k, 3) float32: their places in the volume's box; ``normals`` (k, 3) float32.
     - ``estimate``: sums of their paths; ``expected`` (k,): expected errors of the texels there.
+    - ``shares`` (k,): shares of their light that were shown, smaller around the chosen points.
     - ``changes`` (k,): largest relative change of light to a neighbouring pixel.
     """
 
@@ -53,6 +54,7 @@ class TracedPoints:
     normals: np.ndarray
     estimate: Estimate
     expected: np.ndarray
+    shares: np.ndarray
     changes: np.ndarray
 
     @classmethod
@@ -73,13 +75,14 @@ class TracedPoints:
             gbuffer.normals(shot.tiles)[places],
             estimate,
             own.expected[places],
+            np.broadcast_to(own.shares, own.places.shape)[traced],
             changes_by_pixel(rows, own.light[traced] @ LUMINANCE_WEIGHTS),
         )
 
     @property
     def nbytes(self) -> int:
         """The size of its arrays in bytes."""
-        arrays = (self.rows, self.points, self.normals, self.expected, self.changes)
+        arrays = (self.rows, self.points, self.normals, self.expected, self.shares, self.changes)
         return self.estimate.nbytes + sum(each.nbytes for each in arrays)
 
     def pairs(self, shot: Shot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -140,6 +143,7 @@ class TracedLight:
         sums = np.zeros((m, REPLICAS, 3))
         counts = np.zeros(m, np.int64)
         expected = np.array(uncertainty, np.float64)
+        shares = np.ones(m)
         # Go through the views, and keep the nearest point of each pixel.
         for each in self.views:
             places, numbers, away = each.pairs(shot)
@@ -150,12 +154,14 @@ class TracedLight:
             sums[places] = each.estimate.sums[numbers]
             counts[places] = each.estimate.counts[numbers]
             expected[places] = each.expected[numbers]
+            shares[places] = each.shares[numbers]
         found = np.flatnonzero(nearest < np.inf)
         if not len(found):
             return PixelLight.none()
         part = shot.gbuffer.part(found, shot.tiles)
         paths = Paths(shot.light, part, shot.tiles, bounces_of_truth(shot.light))
-        return PixelLight.of(found, Estimate(sums[found], counts[found]), paths, expected)
+        own = PixelLight.of(found, Estimate(sums[found], counts[found]), paths, expected)
+        return replace(own, shares=shares[found])
 
 
 def changes_by_pixel(rows: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -10,9 +10,9 @@ The module that defines a record also defines its cases.
 
 - ``scene``: the geometry that rays meet, with its ``field``. Open, Coloured, InRoom, Among or
   Through.
-- ``source``: the quantity that paths gather. Light of Surroundings or of Glows; PathEnds, which
+- ``source``: the quantity that paths gather. Light of Surroundings or of Glows; or PathEnds, which
   hold the number of bounces and the direction of each path that leaves the volume, so that any
-  light can be applied later; or Strays.
+  light can be applied later.
 - ``rules``: how paths continue. PathRules, or a PathTree whose paths branch.
 
 Source: Laine, Karras and Aila, "Megakernels Considered Harmful: Wavefront Path Tracing on GPUs",

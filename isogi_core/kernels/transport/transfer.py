@@ -4,10 +4,6 @@ A texel is lit on the isosurface through its point of the lattice. ``locate_texe
 normal and isovalue; ``bake_texels`` traces paths from there and projects their ends on harmonics;
 ``bake_irradiance`` sums the light of an environment that does not turn. ``project_texels`` moves
 texels onto one given isosurface.
-
-``find_strays`` serves cuts: it marks texels that have a path that hits matter outside of a box. If
-matter outside of the box is taken away, the paths of all other texels keep their bits: no ray of
-theirs hit anything there, and less matter blocks no ray.
 """
 
 import math
@@ -50,21 +46,15 @@ from isogi_core.kernels.transport.colours import COLOURS_RECORD, albedo_at
 from isogi_core.kernels.transport.harmonics import accumulate
 from isogi_core.kernels.transport.integrator import (
     WAVE_PATHS,
-    EndWave,
     add_paths,
     advance,
     begin_branches,
     blocks,
     branch_ends,
     columns,
-    gather_met,
     limits,
     make_ends,
-    make_wave,
-    partition,
-    places_for,
     trace_ends,
-    trace_paths,
     whole,
 )
 from isogi_core.kernels.transport.light_paths import SURROUNDINGS_RECORD, Open, advance_in_the_open
@@ -360,109 +350,6 @@ def bake_irradiance(field, cells, place, rows, samples, rules, light, sums):
     together = max(WAVE_PATHS // (2 * samples.count), PATH_WIDTH)
     for i in range(0, rows.shape[0], together):
         light_together(field, cells, place, rows[i : i + together], samples, rules, light, sums)
-
-
-class Confines(NamedTuple):
-    """The ``box`` (2, 3) in index space within which paths may meet surfaces, least and greatest
-    corner.
-
-    ``bounces``, ``survival`` and ``branches`` are those of a ``PathTree``.
-    """
-
-    bounces: int
-    survival: float
-    branches: int
-    box: Any
-
-
-class Strays(NamedTuple):
-    """A source that gathers no light: ``marks`` (g,) of the starts that have a path that hits
-    something outside of a ``box`` (2, 3).
-
-    Paths from a marked start end.
-    """
-
-    box: Any
-    marks: Any
-
-
-CONFINES_RECORD = record(Confines, types.int64, types.float64, types.int64, REAL_ROWS)
-
-
-@kernel()
-def is_within(p, box):
-    """Return True if the point ``p`` lies in a ``box`` (2, 3)."""
-    return (
-        box[0, 0] <= p[0] <= box[1, 0]
-        and box[0, 1] <= p[1] <= box[1, 1]
-        and box[0, 2] <= p[2] <= box[1, 2]
-    )
-
-
-@gather_met.case(Strays)
-def mark_strays(scene, state, vertices, bounce, strays):
-    """Mark the starts of rays that hit something outside of the box.
-
-    Returns the number of paths that continue: those that hit something, and whose start is not
-    marked. Their rays are moved to the front of the list of hits.
-    """
-    rays = state.wave.rays
-    count = vertices.count
-    staying = 0
-    origins = columns(vertices.points, count)
-    directions = columns(rays.directions, count)
-    for h in range(partition(rays, count)):
-        i = rays.hits[h]
-        # Path s g + k is sample s of start k, and its branches differ by multiples of g: see
-        # ``trace_paths`` and ``branch``.
-        start = rays.owners[i] % strays.marks.shape[0]
-        if not is_within(madd(column(origins, i), rays.t[i], column(directions, i)), strays.box):
-            strays.marks[start] = True
-        # A start that is marked needs no further paths.
-        rays.hits[staying] = i
-        staying += not strays.marks[start]
-    return staying
-
-
-@kernel()
-def trace_strays(scene, starts, samples, confines, marks):
-    """Mark those of g ``PathStarts`` in ``marks`` (g,) that have a path to something outside of the
-    box.
-
-    Traces the same paths as ``trace_ends`` does for a ``SampleRange``, as these depend on seeds,
-    sample numbers and the ``PathTree`` of the ``confines`` alone. Their ends and albedos are not
-    recorded.
-    """
-    tree = PathTree(confines.bounces, confines.survival, confines.branches)
-    total = starts.isovalues.shape[0] * samples.count
-    wave = EndWave(make_wave(places_for(total, tree.branches)), total, np.ones((3, 0)))
-    trace_paths(scene, starts, samples, tree, Strays(confines.box, marks), wave)
-
-
-@kernel(
-    types.void(
-        FIELD_RECORD,
-        ACTIVE_CELLS,
-        PLACE,
-        ROW_ARRAY,
-        SAMPLE_RANGE,
-        CONFINES_RECORD,
-        types.boolean[::1],
-    )
-)
-def find_strays(field, cells, place, rows, samples, confines, strays):
-    """Mark the ``rows`` that stray in ``strays`` (m,), by a ``SampleRange`` of both of their
-    halves.
-
-    ``place`` and the paths are those of ``bake_texels``.
-    """
-    together = max(WAVE_PATHS // (2 * samples.count), 1)
-    for i in range(0, rows.shape[0], together):
-        some = rows[i : i + together]
-        marks = np.zeros(2 * some.shape[0], np.bool_)
-        trace_strays(Open(field, cells), start_halves(place, some), samples, confines, marks)
-        for k in range(some.shape[0]):
-            strays[some[k]] |= marks[2 * k] | marks[2 * k + 1]
 
 
 class ColouredRules(NamedTuple):

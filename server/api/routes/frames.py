@@ -161,7 +161,7 @@ class InTurn(StreamingResponse):
         if self._room is None:
             await super().stream_response(send)
             return
-        patience = self._service.settings.queue_seconds
+        patience = self._service.settings.patience.queue_seconds
         rank = self._service.rank(self._viewer, REQUEST_PATIENCE, patience)
         place = await self._room.enter(rank)
         try:

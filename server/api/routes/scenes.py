@@ -227,7 +227,7 @@ TAKEN_LIGHT: dict[int | str, dict[str, Any]] = {
 async def upload_environment(
     request: Request, response: Response, params: UploadParamsDep, service: ServiceDep
 ) -> EnvironmentSchema:
-    """Take the body, a lat-long Radiance picture (.hdr), as light in which every scene may be
+    """Take the body, a lat-long picture (.hdr or .exr), as light in which every scene may be
     shown.
     """
     return uploaded_light(await taken(request, response, params, service, ENVIRONMENT_KIND))

@@ -28,11 +28,9 @@ from isogi_core.kernels.transport.room_paths import InRoom, light_in_room
 from isogi_core.kernels.transport.surface_paths import light_among_surfaces
 from isogi_core.kernels.transport.transfer import (
     ColouredRules,
-    Confines,
     bake_coloured_texels,
     bake_irradiance,
     bake_texels,
-    find_strays,
 )
 from tests.kernels.fields import cells_of, field_of, surface_of
 from tests.kernels.glows import ball, block, glows_of
@@ -121,7 +119,7 @@ def in_the_open() -> Sums:
 
 
 def transfer() -> Sums:
-    """Radiance transfer by one albedo and by colours, and strays."""
+    """Radiance transfer by one albedo and by colours."""
     rows = np.arange(len(PLACE[0]))
     for (name, (bounces, survival)), branches in itertools.product(RULES.items(), (1, 4)):
         counts = weights_of(bounces, survival).weights.T
@@ -147,12 +145,6 @@ def transfer() -> Sums:
         sums = np.zeros((len(rows), 2, 4, 9))
         bake_coloured_texels(FIELD, CELLS, COLOURS, PLACE, rows, some, coloured, sums)
         yield f"coloured {name} {branches}", sums
-        strays = np.zeros(len(rows), np.bool_)
-        edges = np.array([[0.0, 0.0, 0.0], [36.0, 40.0, 40.0]])
-        find_strays(
-            FIELD, CELLS, PLACE, rows, FEW, Confines(bounces, survival, branches, edges), strays
-        )
-        yield f"strays {name} {branches}", strays
 
 
 def in_rooms() -> Sums:

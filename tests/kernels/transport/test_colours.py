@@ -14,7 +14,7 @@ from isogi_core.kernels.transport.transfer import ColouredRules, bake_coloured_t
 from tests.kernels.fields import field_of
 from tests.kernels.rooms import room_of
 from tests.kernels.transport.lighting import TORUS, halves_of, place_of
-from tests.oracles.paths import DARK, EVERYWHERE, NO_GLOWS, Start, one_surface, trace
+from tests.oracles.paths import DARK, NO_GLOWS, Start, one_surface, trace
 from tests.scale import few
 
 COUNT = few(40, 3)
@@ -213,7 +213,7 @@ def test_a_path_takes_the_colours_of_what_it_hits(
     for i, sample, branch in np.ndindex(len(expected), COUNT, branches):
         p, n = column(starts.points, i), column(starts.normals, i)
         start = Start(p, n, starts.isovalues[i], NO_WALL, starts.seeds[i], 3 + sample)
-        path = trace(world, (DARK, NO_GLOWS), start, tree, branch, np.ones(3), EVERYWHERE)
+        path = trace(world, (DARK, NO_GLOWS), start, tree, branch, np.ones(3))
         if path.bounces > 0:
             expected[i] += path.carried / branches
     found = bake(some, colours, survival, branches)[:, :, 1:4, 0].reshape(-1, 3)

@@ -12,14 +12,14 @@ from isogi_core.kernels.tracing.vec import column
 from isogi_core.kernels.tracing.walls import NO_WALL
 from isogi_core.kernels.transport.harmonics import accumulate
 from isogi_core.kernels.transport.paths import PathTree, SampleRange, TransferRules
-from isogi_core.kernels.transport.transfer import Confines, bake_texels, find_strays
+from isogi_core.kernels.transport.transfer import bake_texels
 from isogi_core.model.volume import make_volume
 from isogi_core.prepared.prepared_scene import PreparedScene, make_field
-from tests.kernels.fields import cells_of, field_of
-from tests.kernels.transport.lighting import NOISY, halves_of, on_ball, place_at
+from tests.kernels.fields import cells_of
+from tests.kernels.transport.lighting import halves_of
 from tests.loaded import load_scene
-from tests.oracles.paths import DARK, EVERYWHERE, NO_GLOWS, Start, one_surface, trace
-from tests.scale import PYTHON, few
+from tests.oracles.paths import DARK, NO_GLOWS, Start, one_surface, trace
+from tests.scale import PYTHON
 
 Z, Y, X = np.indices((30, 34, 38)) - 16.0
 BUMPS = 10.0 - np.sqrt(X**2 + Y**2 + Z**2) + 1.5 * np.sin(X) * np.sin(Y) * np.sin(Z)
@@ -45,7 +45,7 @@ def one_by_one(world, starts, samples, tree, sums):
         for sample in range(samples.first, samples.first + samples.count):
             for branch in range(tree.branches):
                 start = Start(p, n, level, NO_WALL, seed, sample)
-                path = trace(world, (DARK, NO_GLOWS), start, tree, branch, weight, EVERYWHERE)
+                path = trace(world, (DARK, NO_GLOWS), start, tree, branch, weight)
                 alone = path.bounces == 0
                 (x, y, z) = path.way
                 share = WEIGHTS[0, path.bounces + 1] / (1 if alone else tree.branches)
@@ -99,28 +99,6 @@ def test_waves_are_the_paths_one_by_one(texels, count, body, survival, branches,
     bake_texels(field, cells, place, rows, samples, rules, np.full(1, 2), other)
     assert one.any() and np.array_equal(one, other)
     assert texels * count < 500 or bounced > 0.01 * 2 * texels * count
-
-
-@pytest.mark.parametrize("branches", [1, 3])
-def test_strays_are_the_starts_of_paths_that_leave_a_box(branches: int) -> None:
-    field = field_of(NOISY)
-    place = place_at(*on_ball(few(200, 10)))
-    box = np.array([[5.0, 3.0, 9.0], [36.0, 35.0, 31.0]])
-    tree = PathTree(3, 0.7, branches)
-    samples = SampleRange(2, 2)
-    starts = halves_of(place)
-    rows = np.arange(len(place[3]))
-    strays = np.zeros(len(place[3]), np.bool_)
-    confines = Confines(tree.bounces, tree.survival, branches, box)
-    find_strays(field, cells_of(field, 0.0), place, rows, samples, confines, strays)
-    world = one_surface(field)
-    expected = np.zeros(2 * len(rows), np.bool_)
-    for i, sample, branch in np.ndindex(len(expected), samples.count, branches):
-        p, n = column(starts.points, i), column(starts.normals, i)
-        start = Start(p, n, 0.0, NO_WALL, starts.seeds[i], samples.first + sample)
-        expected[i] |= trace(world, (DARK, NO_GLOWS), start, tree, branch, np.ones(3), box).strayed
-    assert np.array_equal(strays, expected.reshape(-1, 2).any(axis=1))
-    assert strays.any() and not strays.all()
 
 
 @pytest.mark.parametrize("pieces", [2, 7])

@@ -9,8 +9,8 @@ from fastapi import FastAPI
 from server.api.app import middleware
 from server.api.lifespan import Closing
 from server.render.metrics import Metrics
-from server.settings import Settings
 from tests.server.asking import Ask
+from tests.server.sockets import settings_of
 
 LAB = "https://lab.example"
 EVIL = "https://evil.example"
@@ -22,7 +22,7 @@ PREFLIGHT = {
 
 
 def app_with(**given: Any) -> FastAPI:
-    app = FastAPI(middleware=middleware(Settings(**given), Metrics(), Closing()))
+    app = FastAPI(middleware=middleware(settings_of(**given), Metrics(), Closing()))
     app.add_api_route("/data", lambda: {"a": 1})
     app.add_api_route("/data", lambda: {"a": 2}, methods=["POST"])
     return app
@@ -34,7 +34,7 @@ def app_with(**given: Any) -> FastAPI:
         ({}, {"allowed_hosts": "evil.example"}, {"headers": {"Host": "evil.example"}}, 421),
         ({}, {"allowed_origins": EVIL}, {"headers": {"Origin": EVIL}}, 403),
         ({"token": TOKEN}, {}, {}, 401),
-        ({"max_body_bytes": 9}, {}, {"content": b"0123456789"}, 413),
+        ({"body_bytes": 9}, {}, {"content": b"0123456789"}, 413),
     ],
 )
 def test_each_setting_arms_its_guard(

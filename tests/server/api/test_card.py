@@ -45,7 +45,7 @@ def scene_file(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> P
     folder = tmp_path_factory.mktemp("card")
     (folder / "small.nrrd").write_bytes((small_scene.parent / "small.nrrd").read_bytes())
     text = small_scene.read_text().replace(
-        "bounces = 1", "bounces = 1\nlobes = 0\nprojected = false"
+        "bounces = 1", "bounces = 1\nprojected = false\nresearch = { lobes = 0 }"
     )
     (folder / "card.toml").write_text(text)
     return folder / "card.toml"

@@ -24,7 +24,7 @@ from server.api.stream import (
 )
 from server.errors import StreamError
 from server.render.scheduling import Place
-from server.settings import Settings
+from server.settings import Patience, Settings
 from tests.server.loops import IN_NO_TIME
 
 
@@ -132,7 +132,9 @@ def text(message: str) -> dict[str, Any]:
 
 async def read(*messages: dict[str, Any]) -> list[str | None]:
     """All that an inbox lets through, which holds to small limits."""
-    settings = Settings(stream_bytes=256, stream_rate=5, stream_idle_seconds=0.2)
+    settings = Settings().with_patience(
+        Patience(stream_bytes=256, stream_rate=5, stream_idle_seconds=0.2)
+    )
     inbox = Inbox(Socket(*messages), settings, Place("one", 0.0))  # type: ignore[arg-type]
     read: list[str | None] = []
     while not read or read[-1] is not None:

@@ -39,7 +39,7 @@ from server.render.picture_checks import CHECK
 from server.render.scene_variant import SceneVariant
 from server.render.scheduling import Rank, Renders
 from server.render.update_bus import UpdateBus
-from server.settings import Settings
+from server.settings import Patience, Settings
 from server.views import view_of
 from tests.server.sockets import wait_for
 from worker.bake_requests import Viewer
@@ -183,7 +183,7 @@ def engine(scene: Scene) -> FakeEngine:
 
 @pytest.fixture
 def settings() -> Settings:
-    return Settings(render_threads=2, render_queue=6)
+    return Settings(render_threads=2).with_patience(Patience(render_queue=6))
 
 
 @pytest.fixture
@@ -745,7 +745,7 @@ async def test_a_view_at_rest_is_lit_once_kernels_are_there(
 
 
 async def test_a_picture_whose_kernels_are_compiled_does_not_hang(engine: FakeEngine) -> None:
-    service: Any = Service(engine, Settings(queue_seconds=0.01))  # type: ignore[arg-type]
+    service: Any = Service(engine, Settings().with_patience(Patience(queue_seconds=0.01)))  # type: ignore[arg-type]
     picture: Any = SimpleNamespace(view=SimpleNamespace(shading="path_traced"))
     with pytest.raises(BusyError, match="path_traced pictures is being compiled"):
         await service.frame(picture, Rank(0.0), Stopwatch())

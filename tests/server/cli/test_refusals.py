@@ -28,6 +28,7 @@ LINES = [
     ("serve demo:orbital --host unix:/run/isogi.sock", "isogi listens at addresses"),
     *[(f"inspect {root}", "is the root of all folders") for root in ("/", "/tmp/..", "//")],
     ("serve --sharp-mb 5", "sharp_mb is called projected_mb now"),
+    ("serve --head-seconds 5", "head_seconds is no setting any more, isogi keeps it at 10"),
     ("inspect SCENE --environment moon", "no environment 'moon'"),
     *[
         (f"render SCENE -o a.png --isovalue '{text}'", "isovalue")
@@ -150,6 +151,7 @@ def test_a_volume_that_is_cut_short_or_lies_is_told(
         ("colour = 1", "colour"),
         ("port =", "isogi-server.toml"),
         ("sharp_mb = 5", "sharp_mb is called projected_mb now"),
+        ("max_body_bytes = 5", "max_body_bytes is no setting any more, isogi keeps it at 65536"),
         (None, "isogi-server.toml"),
     ],
 )
@@ -166,6 +168,7 @@ def test_a_file_of_settings_that_is_wrong_is_told(
     [
         ("ISOGI_PORT", "many", "port"),
         ("ISOGI_SHARP_MB", "5", "sharp_mb is called projected_mb now"),
+        ("ISOGI_STREAM_RATE", "5", "stream_rate is no setting any more, isogi keeps it at 600"),
         ("ISOGI_TOKEN", "hunter2", "token"),
     ],
 )

@@ -11,9 +11,9 @@ SCENE = """\
 volume = "small.nrrd"
 isovalue = 0.5
 isovalues = [0.2, 0.8]
-chunk = 8
 bounces = 2
 target_error = 0.1
+research = { chunk = 8 }
 [[lights]]
 type = "constant"
 """

@@ -11,7 +11,6 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
-from queue import Queue
 from typing import Any
 
 import numpy as np
@@ -25,20 +24,17 @@ from isogi_core.kernels.shading.framebuffer import CONVERGING
 from isogi_core.kernels.shading.irradiance_ratio import carry_ratios
 from isogi_core.kernels.shading.lattice import carry_light
 from isogi_core.kernels.shading.local_models import shade_local
-from isogi_core.kernels.tracing.active_cells import ActiveCells
 from isogi_core.kernels.tracing.stiffness import count_stiffness
 from isogi_core.kernels.transport.harmonics import rotate
 from isogi_core.kernels.transport.lights import project_lamps
 from isogi_core.kernels.transport.transfer import measure_distances
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
-from isogi_core.prepared.active_cell_maps import ActiveCellMaps, Run, find_levels
 from isogi_core.prepared.shared_scenes import SharedScene
 from isogi_core.storage import folder
 from isogi_core.storage.backend import StoreUrl
 from server.cli.render import draw_refined
 from server.render.engine import RenderEngine
-from server.render.loaded_scene import next_values
 from server.render.picture_checks import CHECK, LIGHT_PATIENCE_SECONDS
 from server.render.stores import StoreProbe, whereabouts
 from tests.scale import COMPILED
@@ -184,28 +180,6 @@ def test_workers_are_started_once(begin: Begin, monkeypatch: pytest.MonkeyPatch)
     engine.start_workers()
     assert not look(engine, wait=LONG).provisional
     assert len(started) == 1
-
-
-def test_maps_of_the_next_isovalues_are_made_while_nobody_waits(
-    begin: Begin, scene: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    made: Queue[float] = Queue()
-    covering = ActiveCellMaps.covering
-
-    def noted(self: ActiveCellMaps, isovalues: np.ndarray, *run: Run) -> ActiveCells:
-        cells = covering(self, isovalues, *run)
-        if threading.current_thread().name.startswith("prefetch"):
-            made.put(*isovalues.tolist())
-        return cells
-
-    monkeypatch.setattr(ActiveCellMaps, "covering", noted)
-    engine = begin()
-    for isovalue in (0.3, 0.31):
-        look(engine, isovalue=isovalue)
-    before, now = (scene.volume.normalise_isovalue(v) for v in (0.3, 0.31))
-    assert [made.get(timeout=LONG) for _ in range(2)] == next_values(
-        before, now, find_levels(scene.volume.voxels)
-    )
 
 
 def test_a_scheduler_that_comes_later_is_joined_then(

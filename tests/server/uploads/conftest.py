@@ -9,7 +9,7 @@ import pytest
 from fastapi import FastAPI
 
 from server.api.app import create_app
-from server.settings import Settings
+from tests.server.sockets import settings_of
 from tests.server.uploads.site import (
     PATIENT,
     Open,
@@ -29,7 +29,7 @@ def open_app(folder: Path) -> Iterator[Open]:
     with ExitStack() as opened:
 
         def open_app(engine: Poster | None = None, **settings: Any) -> FastAPI:
-            told = Settings(**{"uploads_mb": 64, "uploads": str(folder), **PATIENT, **settings})
+            told = settings_of(**{"uploads_mb": 64, "uploads": str(folder), **PATIENT, **settings})
             app = create_app(engine or Poster(), told)  # type: ignore[arg-type]
             opened.callback(app.state.service.uploads.close)
             app.state.service.uploads.open()

@@ -10,6 +10,7 @@ import httpx
 import numpy as np
 import pytest
 
+from isogi_core.files.probes import EXR_LIBRARY
 from isogi_core.files.radiance import read_hdr, write_hdr
 from isogi_core.model.environment import mean_radiance
 from server.uploads.folder import MAX_PROBE_SHAPE, read_environment
@@ -74,6 +75,21 @@ def test_a_large_one_is_made_smaller_with_its_energy(site: Site, tmp_path: Path)
     assert kept.shape == (*MAX_PROBE_SHAPE, 3)
     assert np.allclose(mean_radiance(kept), mean_radiance(image), rtol=0.01)
     assert site.client.delete(facts["href"]).status_code == 204
+
+
+def test_an_exr_is_kept_as_a_radiance_picture(site: Site, tmp_path: Path) -> None:
+    exr = pytest.importorskip(EXR_LIBRARY)
+    planes = {name: lamp()[..., k].astype(np.float32) for k, name in enumerate("RGB")}
+    given = {"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}
+    with exr.File(given, planes) as file:
+        file.write(str(tmp_path / "sent.exr"))
+    data = (tmp_path / "sent.exr").read_bytes()
+    facts = site.client.post(LIGHTS, content=data).raise_for_status().json()
+    assert np.allclose(read_hdr(site.folder / f"{facts['id']}.hdr"), lamp(), rtol=0.01)
+    assert site.client.delete(facts["href"]).status_code == 204
+    # The library prints a warning of a damaged file to stdout, which is no answer.
+    answer = site.client.post(LIGHTS, content=data[: len(data) // 2])
+    assert answer.status_code == 422 and "damaged or cut short" in answer.json()["detail"]
 
 
 @pytest.mark.slow

@@ -15,7 +15,7 @@ from starlette.websockets import WebSocketDisconnect
 
 from server.api import connections
 from server.api.connections import too_many
-from server.settings import Settings
+from server.settings import Patience, Settings
 from tests.server.asking import UPGRADE
 from tests.server.sockets import (
     HEAD,
@@ -29,7 +29,7 @@ from tests.server.sockets import (
 )
 
 POST = b"POST /small HTTP/1.1\r\nHost: localhost\r\nContent-Length: 9\r\n\r\n"
-DEFAULT = Settings().head_seconds
+DEFAULT = Patience().head_seconds
 """Seconds for a head and a body where nothing else is set."""
 
 SLOW = 20
@@ -138,7 +138,7 @@ def test_the_end_of_an_answer_is_not_held_back(server: Running) -> None:
 
 
 def test_the_slowest_makes_room_where_answers_pile_up() -> None:
-    with running(max_unsent_mb=LARGE * 3 // 2 >> 20) as server:
+    with running(unsent_mb=LARGE * 3 // 2 >> 20) as server:
         request = HEAD.replace(b"small", b"large") + b"Connection: close\r\n\r\n"
         with server.connect(request) as slow:
             assert wait_for(lambda: server.unsent() > LARGE * 3 // 4)
