@@ -41,6 +41,12 @@ class Room(NamedTuple):
     modules: int
 
 
+def folder_of(package: str) -> Path:
+    """The folder of a package: at the top, or in the folder of its part."""
+    places = [ROOT / package, *(ROOT / part / package for part in ("server", "worker", "web"))]
+    return next(place for place in places if place.is_dir())
+
+
 def rooms_of(package: str) -> Iterator[Room]:
     """The rooms of a package, highest first, as its contract lists them; small modules at its
     bottom are left out.
@@ -50,10 +56,10 @@ def rooms_of(package: str) -> Iterator[Room]:
     ]["contracts"]
     (layers,) = [each["layers"] for each in contracts if each.get("containers") == [package]]
     for name in re.findall(r"\w+", " ".join(layers)):
-        folder = ROOT / package / name
+        folder = folder_of(package) / name
         if folder.is_dir():
             yield Room(
-                f"{package}/{name}",
+                str(folder.relative_to(ROOT)),
                 first_sentence(folder / "__init__.py"),
                 len(list(folder.rglob("*.py"))),
             )
@@ -122,10 +128,10 @@ def picture() -> str:
         ("isogi_report", "imports all others", [alone("isogi_report")]),
         (
             "server",
-            "imports worker and isogi_core; each room imports only rooms below it",
-            list(rooms_of("server")),
+            "imports isogi_worker and isogi_core; each room imports only rooms below it",
+            list(rooms_of("isogi_server")),
         ),
-        ("worker", "imports isogi_core", [alone("worker")]),
+        ("worker", "imports isogi_core", [alone("isogi_worker")]),
         (
             "isogi_core",
             "knows no web framework, no scheduler and no picture format",
@@ -155,10 +161,11 @@ def picture() -> str:
 
 def alone(package: str) -> Room:
     """A package that is one room."""
+    folder = folder_of(package)
     return Room(
-        package,
-        first_sentence(ROOT / package / "__init__.py"),
-        len(list((ROOT / package).rglob("*.py"))),
+        str(folder.relative_to(ROOT)),
+        first_sentence(folder / "__init__.py"),
+        len(list(folder.rglob("*.py"))),
     )
 
 

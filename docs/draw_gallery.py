@@ -10,8 +10,8 @@ import os
 import sys
 from pathlib import Path
 
-from server.cli.render import render, rendered
-from server.settings import Settings
+from isogi_server.cli.render import render, rendered
+from isogi_server.settings import Settings
 
 HERE = Path(__file__).parent
 SECONDS = 240.0

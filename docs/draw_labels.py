@@ -72,7 +72,16 @@ def draw(picture: Path) -> None:
             "--height",
             "360",
         ]
-        command = [sys.executable, "-m", "server", "render", str(scene), "-o", str(picture), *view]
+        command = [
+            sys.executable,
+            "-m",
+            "isogi_server",
+            "render",
+            str(scene),
+            "-o",
+            str(picture),
+            *view,
+        ]
         subprocess.run(
             [*command, "--target-error", "0.02", "--store", f"{folder}/store"], check=True
         )

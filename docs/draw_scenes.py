@@ -11,8 +11,8 @@ import tempfile
 import tomllib
 from pathlib import Path
 
-from server.cli.render import render, rendered
-from server.settings import Settings
+from isogi_server.cli.render import render, rendered
+from isogi_server.settings import Settings
 
 HERE = Path(__file__).parent / "scenes"
 SECONDS = 240.0

@@ -701,7 +701,7 @@ class Isogi:
         ]
         isogi = cls(f"http://127.0.0.1:{port}")
         isogi._server = subprocess.Popen(
-            [sys.executable, "-m", "server", "serve", str(target), *options]
+            [sys.executable, "-m", "isogi_server", "serve", str(target), *options]
         )
         try:
             isogi._await_server()

@@ -12,15 +12,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from isogi_server.errors import LibraryError, ParameterError
+from isogi_server.parameters import FrameParams, read
+from isogi_server.progress import open_scene
+from isogi_server.settings import Settings
+from isogi_server.values import span
+from isogi_server.views import view_of
+
 from isogi_core.errors import advice
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
-from server.errors import LibraryError, ParameterError
-from server.parameters import FrameParams, read
-from server.progress import open_scene
-from server.settings import Settings
-from server.values import span
-from server.views import view_of
 
 if TYPE_CHECKING:
     from isogi_report.journal import Report

@@ -1,6 +1,6 @@
-"""``python -m server`` is the ``isogi`` command."""
+"""``python -m server`` is the ``isogi`` command in a checkout."""
 
-from server.cli.command import main
+from isogi_server.cli.command import main
 
 if __name__ == "__main__":
     main()

@@ -13,7 +13,7 @@ from fastapi import FastAPI
 from isogi_core.plan.assembly import load_scene
 
 if TYPE_CHECKING:
-    from worker.pool import WorkerPool
+    from isogi_worker.pool import WorkerPool
 
 
 @contextmanager
@@ -21,7 +21,7 @@ def live(app: FastAPI, until: str = "/bakez", port: int = 0) -> Iterator[str]:
     """The base URL of the app, once it answers 200 at ``until``; its ``port`` is a free one by
     default.
     """
-    from server.cli.serve import Server, address, listen
+    from isogi_server.cli.serve import Server, address, listen
 
     listener = listen("127.0.0.1", port)
     server = Server(app)
@@ -42,10 +42,11 @@ def serving(scene: Path, store: Path, **settings: Any) -> Iterator[str]:
     """The base URL of an isogi that is ready, with a scene and a store; it bakes on a thread of
     this process.
     """
-    from server.api.app import create_app
-    from server.settings import Settings
+    from isogi_server.api.app import create_app
+    from isogi_server.settings import Settings
+    from isogi_worker.baker import Baker
+
     from tests.server.inline import EngineWithoutWorkers, InlinePool
-    from worker.baker import Baker
 
     baker = Baker()
     pool = InlinePool()
@@ -63,9 +64,9 @@ def serving_with_a_worker(scene: Path, store: Path) -> Iterator[str]:
     """The same, baked by a worker process, as a server of its own has it; it takes three seconds of
     the processor.
     """
-    from server.api.app import create_app
-    from server.render.engine import RenderEngine
-    from server.settings import Settings
+    from isogi_server.api.app import create_app
+    from isogi_server.render.engine import RenderEngine
+    from isogi_server.settings import Settings
 
     with live(
         create_app(RenderEngine([load_scene(scene)], str(store), workers=1), Settings())

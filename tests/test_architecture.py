@@ -44,7 +44,7 @@ def offenders(paths: Iterable[Path], faults: Callable[[Path], Any]) -> dict[str,
     return {name: faults for name, faults in found.items() if faults}
 
 
-@pytest.mark.parametrize("package", PACKAGES)
+@pytest.mark.parametrize("package", ["isogi_core", "isogi_worker", "isogi_server"])
 def test_each_package_has_its_errors_in_one_module(package: str) -> None:
     module = import_module(f"{package}.errors")
     errors = [each for _, each in inspect.getmembers(module, inspect.isclass)]
@@ -194,7 +194,7 @@ QUICK = (["--help"], ["--version"], ["render", "--help"], ["serve", "--port", "n
 def test_help_versions_and_refusals_load_no_renderer() -> None:
     code = f"""
 import sys
-from server.cli.command import run
+from isogi_server.cli.command import run
 for arguments in {QUICK!r}:
     status = run(arguments)
     loaded = [name for name in {HEAVY!r} if name in sys.modules]
@@ -277,17 +277,20 @@ def test_a_clock_of_one_module_may_be_replaced() -> None:
 CLUSTER_MODULES = {"distributed", "dask", "tornado", "cryptography"}
 """Modules that only a server loads that joins a cluster."""
 
-LOADED_TO_BAKE = "server.cli.serve server.cli.render server.cli.prewarm worker.local_pool"
+COMMANDS = ("serve", "render", "prewarm")
+LOADED_TO_BAKE = (*(f"isogi_server.cli.{each}" for each in COMMANDS), "isogi_worker.local_pool")
 
 
 def test_who_joins_no_cluster_loads_nothing_of_clusters() -> None:
-    """Neither a server nor `isogi render`, nor their workers, which run ``worker.local_worker``."""
-    program = f"import sys, {', '.join(LOADED_TO_BAKE.split())}; print(*sys.modules)"
+    """Neither a server nor `isogi render`, nor their workers, which run
+    ``isogi_worker.local_worker``.
+    """
+    program = f"import sys, {', '.join(LOADED_TO_BAKE)}; print(*sys.modules)"
     told = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd=ROOT
     )
     loaded = set(told.stdout.split())
-    assert "worker.local_worker" in loaded
+    assert "isogi_worker.local_worker" in loaded
     assert loaded & CLUSTER_MODULES == set()
 
 
@@ -296,7 +299,7 @@ WEB_FRAMEWORK = {"fastapi", "starlette", "uvicorn", "anyio"}
 
 def test_a_picture_is_rendered_without_the_web_framework() -> None:
     told = subprocess.run(
-        [sys.executable, "-c", "import sys, server.cli.render; print(*sys.modules)"],
+        [sys.executable, "-c", "import sys, isogi_server.cli.render; print(*sys.modules)"],
         capture_output=True,
         text=True,
         check=True,

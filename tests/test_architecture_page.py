@@ -102,10 +102,10 @@ def test_the_table_leads_to_files_and_names_that_are_there() -> None:
 
 def test_the_search_of_the_table_finds_what_is_not_there() -> None:
     text = (
-        "## Where is …?\n| a | `worker/queue.py` `Nothing` | `no/file.py` |\n| b | "
-        "`web/live/live.js` `Live` |  |\n"
+        "## Where is …?\n| a | `worker/isogi_worker/queue.py` `Nothing` | `no/file.py` |\n| b | "
+        "`web/isogi_web/live/live.js` `Live` |  |\n"
     )
-    assert not_there(text) == ["no/file.py", "worker/queue.py Nothing"]
+    assert not_there(text) == ["no/file.py", "worker/isogi_worker/queue.py Nothing"]
 
 
 def test_the_page_names_files_that_are_there() -> None:

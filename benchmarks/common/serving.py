@@ -17,8 +17,7 @@ from typing import IO
 
 import httpx
 import psutil
-
-from worker.fork_server import WORKER_PROCESS_NAME
+from isogi_worker.fork_server import WORKER_PROCESS_NAME
 
 MIB = 1 << 20
 
@@ -105,7 +104,7 @@ def serving(
     command = [
         sys.executable,
         "-m",
-        "server",
+        "isogi_server",
         "serve",
         scene,
         "--port",

@@ -204,7 +204,7 @@ def prewarming(
     command = [
         sys.executable,
         "-m",
-        "server",
+        "isogi_server",
         "prewarm",
         scene,
         "--store",

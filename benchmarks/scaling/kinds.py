@@ -144,7 +144,7 @@ def render(volume: Path, folder: Path, *more: str, **environment: str) -> dict[s
     ]
     size = ["--width", "128", "--height", "128", "--isovalue", "60", "--target-error", ERROR]
     begun = time.monotonic()
-    told = [sys.executable, "-m", "server", "render", str(volume), *given, *size, *more]
+    told = [sys.executable, "-m", "isogi_server", "render", str(volume), *given, *size, *more]
     process = subprocess.Popen(told, env={**os.environ, **places}, stdout=subprocess.PIPE)
     residents = Residents(process.pid)
     output, _ = process.communicate()

@@ -81,7 +81,7 @@ def command(folder: Path, *arguments: str) -> list[str]:
     return [
         sys.executable,
         "-m",
-        "server",
+        "isogi_server",
         *arguments,
         "--store",
         str(folder / "store"),

@@ -49,7 +49,7 @@ def prewarmed(target: str, store: Path, *more: str) -> dict[str, Any]:
     command = [
         sys.executable,
         "-m",
-        "server",
+        "isogi_server",
         "prewarm",
         target,
         "--store",

@@ -71,7 +71,7 @@ def draw(taken: str, path: str, picture: Path, seconds: int) -> Lit:
             f"{seconds}s",
         ]
         given = ["-o", str(picture), "--store", store, "--json", *size]
-        command = [sys.executable, "-m", "server", "render", path, *given]
+        command = [sys.executable, "-m", "isogi_server", "render", path, *given]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
     name = Path(path).name
     if done.returncode:

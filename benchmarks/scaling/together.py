@@ -34,7 +34,7 @@ def warmed(scene: str, store: str) -> dict[str, Any]:
     command = [
         sys.executable,
         "-m",
-        "server",
+        "isogi_server",
         "prewarm",
         scene,
         "--store",

@@ -29,17 +29,21 @@ STEP = 1.2 * RATE
 """Degrees a second that the object is turned by, as ``Hand`` does."""
 
 LIST = 1.0
-"""Seconds between two lists of chunks of a view that moves: LIST_MS in web/live/live.js."""
+"""Seconds between two lists of chunks of a view that moves: LIST_MS in
+web/isogi_web/live/live.js.
+"""
 
 FIRST = 16
 TOGETHER = 64
-"""Chunks of a visitor's first request, and of others: those of web/live/feed.js."""
+"""Chunks of a visitor's first request, and of others: those of web/isogi_web/live/feed.js."""
 
 NEAR = 15.0
-"""Degrees between the views that are listed while the camera turns: STEP in web/live/view.js."""
+"""Degrees between the views that are listed while the camera turns: STEP in
+web/isogi_web/live/view.js.
+"""
 
 LOOK = {"width": 160, "height": 160}
-"""Pixels of views whose chunks are asked for: WIDEST in web/live/view.js."""
+"""Pixels of views whose chunks are asked for: WIDEST in web/isogi_web/live/view.js."""
 
 UNLIT = "0" * 16
 """The version of a chunk without light."""

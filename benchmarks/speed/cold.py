@@ -259,7 +259,16 @@ class ColdRace:
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
         begun = time.perf_counter()
         subprocess.run(
-            [sys.executable, "-m", "server", "render", str(self.file), "-o", output, *options],
+            [
+                sys.executable,
+                "-m",
+                "isogi_server",
+                "render",
+                str(self.file),
+                "-o",
+                output,
+                *options,
+            ],
             check=True,
             capture_output=True,
         )

@@ -24,6 +24,9 @@ from typing import Any
 
 import click
 import numpy as np
+from isogi_server.cli.setting_options import settings_from
+from isogi_server.parameters import FrameParams, read
+from isogi_server.views import view_of
 
 from benchmarks.accuracy.mitsuba_race import VARIANT, Mitsuba
 from benchmarks.common import mesh, mitsuba
@@ -32,9 +35,6 @@ from benchmarks.common.scenes import scene_file
 from benchmarks.common.suite import part
 from benchmarks.common.timing import Seconds
 from isogi_core.plan.assembly import load_scene
-from server.cli.setting_options import settings_from
-from server.parameters import FrameParams, read
-from server.views import view_of
 
 FPS = 24
 FIRST = 30.0
@@ -50,7 +50,7 @@ def isogi(*words: object, most: float | None = None) -> tuple[float, dict[str, A
     ``most`` seconds.
     """
     begun = time.perf_counter()
-    command = [sys.executable, "-m", "server", *map(str, words), "--json"]
+    command = [sys.executable, "-m", "isogi_server", *map(str, words), "--json"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
         output, complaint = process.communicate(timeout=most)

@@ -8,6 +8,11 @@ from typing import Any
 import nrrd
 import numpy as np
 import pytest
+from isogi_server.cli.prewarm import fields_given
+from isogi_server.cli.prewarm import prewarm as prewarm_views
+from isogi_server.prewarm.order import order_of
+from isogi_server.settings import Settings
+from isogi_worker import pool
 
 from benchmarks.scaling import damage as damage_module
 from benchmarks.scaling import kills as kills_module
@@ -21,13 +26,8 @@ from benchmarks.scaling.public import draw, public
 from benchmarks.scaling.time_left import time_left
 from benchmarks.scaling.watching import altered
 from isogi_core.files.volume_copies import read_voxels
-from server.cli.prewarm import fields_given
-from server.cli.prewarm import prewarm as prewarm_views
-from server.prewarm.order import order_of
-from server.settings import Settings
 from tests.benchmarks.parts import figures, run
 from tests.server.inline import InlinePool
-from worker import pool
 
 
 @pytest.fixture(scope="module")

@@ -4,6 +4,7 @@ import shutil
 from pathlib import Path
 
 import pytest
+from isogi_worker.progress import TimeLeft
 
 from benchmarks.service.drag import drag
 from benchmarks.service.first_start import first_start, started
@@ -16,7 +17,6 @@ from benchmarks.service.warm_view import warm_view
 from isogi_core.kernels._jit import KERNEL_FOLDER
 from tests.benchmarks.parts import figures
 from tests.compile_kernels import compile_all
-from worker.progress import TimeLeft
 
 LACKING = ("framebuffer.tally", "transfer.locate_texels", "transfer.bake_texels")
 """Kernels that a first start compiles, one for pictures and two for light: all would take a

@@ -20,6 +20,7 @@ import httpx
 import numpy as np
 import pytest
 from httpx_retries import RetryTransport
+from isogi_worker.pool import WorkerPool
 from PIL import Image
 
 import isogi.client as isogi_client
@@ -44,7 +45,6 @@ from isogi.client import (
 )
 from tests.client.lab import TOKEN, Broken, Faults, Lab, lab_of
 from tests.loaded import load_scene
-from worker.pool import WorkerPool
 
 NOTEBOOK = Path(__file__).resolve().parents[2] / "docs" / "notebook.ipynb"
 VIEW: dict[str, Any] = {"width": 40, "height": 30}

@@ -16,9 +16,9 @@ from typing import Any, Self
 
 import httpx
 import psutil
+from isogi_worker.dask_pool import show_certificate
 
 from tests.cluster.certificates import temporary_security
-from worker.dask_pool import show_certificate
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 LONG = 240.0
@@ -162,7 +162,12 @@ class Cluster:
             "--memory-limit",
             "0",
         )
-        options = (*alone, *(known or named(DASK, self.certificates)), "--preload", "worker.tasks")
+        options = (
+            *alone,
+            *(known or named(DASK, self.certificates)),
+            "--preload",
+            "isogi_worker.tasks",
+        )
         return self.run(
             "dask", "worker", self.address, *options, stderr=subprocess.DEVNULL, **kwargs
         )
@@ -179,7 +184,9 @@ class Cluster:
             self.address,
             *named(OWN, self.certificates),
         )
-        started = self.run("python", "-m", "server", "serve", str(scene), *listening, cwd=ROOT)
+        started = self.run(
+            "python", "-m", "isogi_server", "serve", str(scene), *listening, cwd=ROOT
+        )
         client = self._clients.enter_context(
             httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=60.0)
         )

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pytest
 from distributed import LocalCluster
+from isogi_server.render.engine import RenderEngine
+from isogi_worker import pool
 
 from isogi_core.plan.assembly import load_scene
-from server.render.engine import RenderEngine
 from tests.cluster.intruder import fallen, ports_of
 from tests.cluster.processes import (
     DASK,
@@ -29,7 +30,6 @@ from tests.cluster.processes import (
     write_certificates,
 )
 from tests.server.inline import InlinePool, chunks_in, view_of
-from worker import pool
 
 
 @pytest.mark.cluster

@@ -4,11 +4,11 @@ from collections.abc import Iterator
 from itertools import count
 
 import pytest
+from isogi_server.api.app import create_app
+from isogi_server.render.engine import RenderEngine
+from isogi_server.settings import Settings
 
 from isogi_core.plan.assembly import load_scene
-from server.api.app import create_app
-from server.render.engine import RenderEngine
-from server.settings import Settings
 from tests.faults.bench import Bench
 from tests.faults.failpoints import FOLDER, run_failing_worker
 from tests.live import live
@@ -22,7 +22,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
     store = tmp_path_factory.mktemp("light")
     armed = tmp_path_factory.mktemp("failpoints")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("worker.local_pool.run_worker", run_failing_worker)
+        patch.setattr("isogi_worker.local_pool.run_worker", run_failing_worker)
         patch.setenv(FOLDER, str(armed))
         engine = RenderEngine([scene], str(store), workers=1)
         with live(create_app(engine, Settings())) as url:

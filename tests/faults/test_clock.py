@@ -14,7 +14,7 @@ CALENDAR = {
 }
 
 TOLD_TO_PEOPLE = {
-    "server/render/jobs.py",  # when a job began and ended, and until when it is known
+    "server/isogi_server/render/jobs.py",  # when a job began and ended, and until when it is known
     "isogi_core/storage/store.py",  # how old objects are, by the dates that the store gives them
 }
 

@@ -9,16 +9,16 @@ from typing import Any
 
 import httpx
 import pytest
+from isogi_server.api.app import create_app
+from isogi_server.render.engine import RenderEngine
+from isogi_server.settings import Settings
+from isogi_worker import pool
 
 from isogi_core.plan.assembly import load_scene
-from server.api.app import create_app
-from server.render.engine import RenderEngine
-from server.settings import Settings
 from tests.faults.bench import LONG
 from tests.live import live
 from tests.server.inline import InlinePool
 from tests.server.sockets import wait_for
-from worker import pool
 
 KNOBS: dict[str, Any] = {"width": 40, "height": 40, "azimuth": 20, "elevation": 15, "f": "npy"}
 

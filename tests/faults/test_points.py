@@ -5,12 +5,12 @@ from pathlib import Path
 
 import httpx
 import pytest
+from isogi_worker.bake_requests import MOST_FAILURES
 
 from tests.baking import bake_each_texel
 from tests.faults.bench import LONG, Bench, bake_here, objects_in
 from tests.faults.failpoints import FAULTS, POINTS
 from tests.server.sockets import wait_for
-from worker.bake_requests import MOST_FAILURES
 
 pytestmark = pytest.mark.kill
 

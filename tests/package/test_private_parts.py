@@ -54,7 +54,7 @@ LIBRARIES = {
             "WebSocketsSansIOProtocol.send_receive_event_to_app",
             "uvicorn.server:Server.shutdown",
         ),
-        "server/api/connections.py and server/cli/serve.py; run tests/server/api/guards",
+        "api/connections.py and cli/serve.py in server/isogi_server; run tests/server/api/guards",
     ),
     "zarr": Private(
         "3.2",

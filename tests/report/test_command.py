@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from isogi_server.cli.command import run
 
 from isogi_core.errors import Cancelled, ReportError
 from isogi_core.plan.assembly import load_scene
@@ -21,7 +22,6 @@ from isogi_report.journal import Entry, open_journal, subject_of, workshop
 from isogi_report.measuring import STUDIES, Study
 from isogi_report.sections import Section
 from isogi_report.speed import view_of
-from server.cli.command import run
 from tests.report.samples import sections
 
 Run = Callable[[Bench], Section]

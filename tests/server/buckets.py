@@ -8,9 +8,10 @@ from contextlib import closing, contextmanager
 from hashlib import sha256
 from pathlib import Path
 
+from isogi_server.render.engine import RenderEngine
+
 from isogi_core.plan.assembly import load_scene
 from isogi_core.storage.store import Store
-from server.render.engine import RenderEngine
 from tests.cluster.processes import ROOT, end, until
 from tests.server.inline import LONG, view_of
 
@@ -45,7 +46,7 @@ def killed_when(condition: Callable[[], bool], *command: str) -> None:
     """Run a command of isogi, and kill it once a condition holds, unless it has ended by itself."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     silent = subprocess.DEVNULL
-    program = [sys.executable, "-m", "server", *command]
+    program = [sys.executable, "-m", "isogi_server", *command]
     process = subprocess.Popen(program, env=environment, stdout=silent, stderr=silent)
     until(lambda: condition() or process.poll() is not None)
     if process.poll() is None:

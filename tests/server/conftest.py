@@ -8,8 +8,8 @@ from typing import Any
 import httpx
 import pytest
 from fastapi import FastAPI
+from isogi_server.cli.command import run
 
-from server.cli.command import run
 from tests.server.asking import Ask, Told
 from tests.server.inline import InlinePool
 
@@ -36,7 +36,7 @@ def client(live_server: str) -> Iterator[httpx.Client]:
 @pytest.fixture
 def inline(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let engines and commands bake on a thread of this process, in place of workers."""
-    monkeypatch.setattr("worker.pool.start_pool", InlinePool)
+    monkeypatch.setattr("isogi_worker.pool.start_pool", InlinePool)
 
 
 @pytest.fixture

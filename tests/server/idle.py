@@ -7,14 +7,15 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from isogi_server.api.app import create_app
+from isogi_server.api.service import Service
+from isogi_server.render.engine import RenderEngine
+from isogi_worker.bake_requests import Key
+from isogi_worker.baker import Baker
+
 from isogi_core.plan.assembly import load_scene
-from server.api.app import create_app
-from server.api.service import Service
-from server.render.engine import RenderEngine
 from tests.live import live
 from tests.server.sockets import settings_of
-from worker.bake_requests import Key
-from worker.baker import Baker
 
 
 class Idle:

@@ -10,13 +10,12 @@ from contextlib import contextmanager
 from typing import Any
 
 from fastapi import FastAPI, Request
+from isogi_server.api.lifespan import Closing, GracefulShutdown
+from isogi_server.cli.serve import Server, listen
+from isogi_server.render.metrics import Metrics
+from isogi_server.settings import Patience, Settings
 from starlette.responses import Response
 from websockets.asyncio.client import connect
-
-from server.api.lifespan import Closing, GracefulShutdown
-from server.cli.serve import Server, listen
-from server.render.metrics import Metrics
-from server.settings import Patience, Settings
 
 HEAD = b"GET /small HTTP/1.1\r\nHost: localhost\r\n"
 LARGE = 4 << 20

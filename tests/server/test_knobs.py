@@ -1,12 +1,12 @@
 """The table of knobs, and what derives from it."""
 
 import pytest
+from isogi_server.answers import defaults, ranges
+from isogi_server.cli.arguments import FILM_OPTIONS, VIEW_OPTIONS
+from isogi_server.knobs import KNOBS
+from isogi_server.parameters import FrameParams, ViewParams
 
 import isogi.client as isogi_client
-from server.answers import defaults, ranges
-from server.cli.arguments import FILM_OPTIONS, VIEW_OPTIONS
-from server.knobs import KNOBS
-from server.parameters import FrameParams, ViewParams
 from tests.loaded import load_scene
 
 

@@ -8,13 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-
-from server.logs import REQUEST_ID, JsonLines, Repeats, WithRequest
+from isogi_server.logs import REQUEST_ID, JsonLines, Repeats, WithRequest
 
 ROOT = Path(__file__).resolve().parents[2]
 CODE = """
 import logging
-from server.logs import REQUEST_ID, configure
+from isogi_server.logs import REQUEST_ID, configure
 configure({form!r}, "info")
 REQUEST_ID.set("mine")
 logging.getLogger("isogi.test").info("two\\nlines", extra=dict(status=200))
@@ -49,7 +48,7 @@ def test_text_names_the_request() -> None:
 IMPORTED = """
 import logging
 import distributed
-from server.logs import configure
+from isogi_server.logs import configure
 configure("json", "info")
 logging.getLogger("distributed.client").error("a line of its own form")
 logging.getLogger("tornado.application").error("of another library")
@@ -111,7 +110,7 @@ def test_other_kinds_and_what_is_no_warning_are_written() -> None:
 
 FLOOD = """
 import logging
-from server.logs import configure
+from isogi_server.logs import configure
 configure("text", "warning")
 for n in range(1000):
     logging.getLogger("uvicorn.error").error("bad", exc_info=ValueError("bad"))

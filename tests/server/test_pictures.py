@@ -4,16 +4,10 @@ import io
 
 import numpy as np
 import pytest
-from PIL import Image
-
-from isogi_core.frame.frame import Frame
-from isogi_core.frame.gbuffer import GBuffer
-from isogi_core.model.view import View
-from isogi_core.plan.assembly import load_scene
-from server import pictures
-from server.errors import NotAcceptableError, ParameterError
-from server.parameters import FrameParams, read
-from server.pictures import (
+from isogi_server import pictures
+from isogi_server.errors import NotAcceptableError, ParameterError
+from isogi_server.parameters import FrameParams, read
+from isogi_server.pictures import (
     ENCODER_OPTIONS,
     encode,
     format_for,
@@ -23,6 +17,12 @@ from server.pictures import (
     npy_bytes,
     npy_parts,
 )
+from PIL import Image
+
+from isogi_core.frame.frame import Frame
+from isogi_core.frame.gbuffer import GBuffer
+from isogi_core.model.view import View
+from isogi_core.plan.assembly import load_scene
 
 CHROMIUM = "image/avif,image/webp,image/apng,image/svg+xml,image/*,*/*;q=0.8"
 

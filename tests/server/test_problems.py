@@ -6,13 +6,13 @@ from http import HTTPStatus
 
 import pytest
 from fastapi import FastAPI
+from isogi_server import errors as service
+from isogi_server.problems import domain_problem, install, status_of
+from isogi_worker import errors as workers
 from starlette.requests import Request
 
 from isogi_core import errors as domain
-from server import errors as service
-from server.problems import domain_problem, install, status_of
 from tests.server.asking import Ask
-from worker import errors as workers
 
 
 class NewError(domain.ViewError):

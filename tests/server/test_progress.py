@@ -8,14 +8,14 @@ from types import SimpleNamespace
 import nrrd
 import numpy as np
 import pytest
+from isogi_server import clocks, progress
+from isogi_server.progress import Progress, open_scene
+from isogi_server.settings import Settings
+from isogi_worker.progress import TimeLeft
 
 from isogi_core.files.mappings import budget
 from isogi_core.files.volume_copies import copies_folder, most_bytes
-from server import clocks, progress
-from server.progress import Progress, open_scene
-from server.settings import Settings
 from tests.server.sockets import wait_for
-from worker.progress import TimeLeft
 
 
 @pytest.fixture

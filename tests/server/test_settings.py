@@ -3,11 +3,10 @@
 from pathlib import Path
 
 import pytest
+from isogi_server.cli.command import run
+from isogi_server.cli.setting_options import unknown_variables
+from isogi_server.settings import LOOPBACK_HOSTS, Settings, read_settings
 from pydantic import ValidationError
-
-from server.cli.command import run
-from server.cli.setting_options import unknown_variables
-from server.settings import LOOPBACK_HOSTS, Settings, read_settings
 
 
 def test_every_setting_is_documented() -> None:
@@ -147,6 +146,6 @@ def test_a_server_logs_a_misspelt_variable(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setenv("ISOGI_WROKERS", "3")
-    monkeypatch.setattr("server.logs.configure", lambda form, level: None)
+    monkeypatch.setattr("isogi_server.logs.configure", lambda form, level: None)
     assert run(["serve", "/"]) == 2
     assert "did you mean ISOGI_WORKERS?" in caplog.text

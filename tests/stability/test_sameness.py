@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from isogi_worker.tasks import BakeTask, bake
 
 from isogi_core.bake.bake_spec import SPECS
 from isogi_core.bake.texel_light import FIRST_LEVEL
@@ -36,7 +37,6 @@ from isogi_report.bench import UNREACHED_TARGET
 from isogi_report.speed import bake_chunks, wanted_of
 from tests.loaded import load_scene
 from tests.stability.scenes import view_of
-from worker.tasks import BakeTask, bake
 
 MEMORY = 1 << 30
 SETTINGS: dict[str, Any] = {

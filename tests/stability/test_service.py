@@ -15,17 +15,17 @@ import nrrd
 import numpy as np
 import pytest
 from fastapi import FastAPI
+from isogi_server.api.app import create_app
+from isogi_server.cli.command import run, settings_from
+from isogi_worker.baker import Baker
+from isogi_worker.pool import WorkerPool
 from PIL import Image
 
 from isogi_core.model.choices import VIEW_SHADINGS
-from server.api.app import create_app
-from server.cli.command import run, settings_from
 from tests.loaded import load_scene
 from tests.server.inline import EngineWithoutWorkers, InlinePool
 from tests.stability.scenes import CONSTANT
 from tests.stability.volumes import REFUSED, VOLUMES, Specimen
-from worker.baker import Baker
-from worker.pool import WorkerPool
 
 SOME = (
     *("mask", "offset of 1e9 in single floats", "subnormal", "constant", "hot voxels of ±1e300"),

@@ -1,5 +1,5 @@
-"""Write web/documents.d.ts: the server's documents as types of the page, from its OpenAPI; by
-``make schemas``.
+"""Write web/isogi_web/documents.d.ts: the server's documents as types of the page, from its
+OpenAPI; by ``make schemas``.
 """
 
 import json
@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from fastapi import FastAPI
+from isogi_server.api.app import ROUTERS
 
-from server.api.app import ROUTERS
-
-TYPES = Path(__file__).parents[2] / "web" / "documents.d.ts"
+TYPES = Path(__file__).parents[2] / "web" / "isogi_web" / "documents.d.ts"
 
 READ = (
     *("SceneList", "SceneSchema", "CameraSchema", "PointSchema", "SizeSchema", "Coverage"),

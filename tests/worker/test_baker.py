@@ -6,6 +6,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from isogi_worker.bake_requests import GUEST_VIEWER, MOST_FAILURES, Viewer
+from isogi_worker.baker import (
+    CLEAR_CORES_SECONDS,
+    LONGEST_PAUSE,
+    LONGEST_REST,
+    POSTPONE_SECONDS,
+    SHORTEST_PAUSE,
+    Bake,
+    Baker,
+    after,
+)
+from isogi_worker.errors import WorkersAwayError
+from isogi_worker.pool import AllDone, Done
+from isogi_worker.progress import Tally, TimeLeft
+from isogi_worker.queue import FORGET_AFTER
+from isogi_worker.tasks import BAKED_ELSEWHERE, BakeResult, BakeTask
 
 from isogi_core.bake.noise import Effort
 from isogi_core.cache.costs import Cost, Costs
@@ -16,22 +32,6 @@ from isogi_core.model.scene_plan import MAX_SAMPLES, Layer, ScenePlan
 from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.backend import StoreUrl
 from tests.server.sockets import wait_for
-from worker.bake_requests import GUEST_VIEWER, MOST_FAILURES, Viewer
-from worker.baker import (
-    CLEAR_CORES_SECONDS,
-    LONGEST_PAUSE,
-    LONGEST_REST,
-    POSTPONE_SECONDS,
-    SHORTEST_PAUSE,
-    Bake,
-    Baker,
-    after,
-)
-from worker.errors import WorkersAwayError
-from worker.pool import AllDone, Done
-from worker.progress import Tally, TimeLeft
-from worker.queue import FORGET_AFTER
-from worker.tasks import BAKED_ELSEWHERE, BakeResult, BakeTask
 
 SOURCE = SceneSource("scene", {"volume": "demo:orbital"}, Path())
 PLAN = ScenePlan("transfer", (Layer("direct", 5), Layer("indirect", 3)), 5, 4, 1.0, 4096)
@@ -385,7 +385,9 @@ def test_a_claimed_chunk_waits_while_others_are_baked(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     later: list[tuple[float, Callable[[], None]]] = []
-    monkeypatch.setattr("worker.baker.after", lambda seconds, call: later.append((seconds, call)))
+    monkeypatch.setattr(
+        "isogi_worker.baker.after", lambda seconds, call: later.append((seconds, call))
+    )
     pool = bench.employ(1)
     bench.request(1, 2)
     assert pool.end(BAKED_ELSEWHERE).owner
@@ -402,7 +404,7 @@ def test_a_claimed_chunk_waits_while_others_are_baked(
 
 
 def test_a_long_wait_for_another_baker_ends(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("worker.baker.after", lambda *_: None)
+    monkeypatch.setattr("isogi_worker.baker.after", lambda *_: None)
     pool = bench.employ(1)
     bench.request(1)
     looks = 0
@@ -517,7 +519,7 @@ def test_a_poison_chunk_is_given_up_though_the_store_was_away(bench: Bench) -> N
 
 
 def test_baking_goes_on_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("worker.baker.SHORTEST_PAUSE", 0.01)
+    monkeypatch.setattr("isogi_worker.baker.SHORTEST_PAUSE", 0.01)
     bench = Bench()
     bench.baker = Baker()
     bench.add("scene", layers=frozenset())

@@ -16,14 +16,14 @@ from distributed import Future, LocalCluster
 from distributed.client import FutureCancelledError
 from distributed.scheduler import KilledWorker
 from distributed.utils import LoopRunner
+from isogi_worker.dask_pool import DaskPool, OwnClient, hand_on_result
+from isogi_worker.errors import LostWorkerError, WorkersAwayError, WorkersError
+from isogi_worker.pool import TASKS_AHEAD
+from isogi_worker.tasks import OPENING_KERNELS, PLAIN_LAYER_KINDS, BakeResult, bake_kernels
 
 from isogi_core.kernels._compilation import warm
 from tests.server.sockets import wait_for
 from tests.worker.pools import LONG, bake_all, kernels_of_this_process, named, tasks_for
-from worker.dask_pool import DaskPool, OwnClient, hand_on_result
-from worker.errors import LostWorkerError, WorkersAwayError, WorkersError
-from worker.pool import TASKS_AHEAD
-from worker.tasks import OPENING_KERNELS, PLAIN_LAYER_KINDS, BakeResult, bake_kernels
 
 pytestmark = pytest.mark.cluster
 BAKE = bake_kernels(PLAIN_LAYER_KINDS)
@@ -174,14 +174,14 @@ def test_a_scheduler_that_was_restarted_unnoticed_is_joined_anew(
     joined = DaskPool(first.scheduler_address)
     try:
         assert "No worker has joined" in joined.trouble
-        monkeypatch.setattr("worker.dask_pool.CHECK_SECONDS", LONG)
+        monkeypatch.setattr("isogi_worker.dask_pool.CHECK_SECONDS", LONG)
         time.sleep(1.5)
         client = joined._client
         port = int(first.scheduler_address.rpartition(":")[2])
         first.close()
         with lone_scheduler(port) as second:
             assert wait_for(lambda: client.scheduler_info().get("id") == second.scheduler.id, LONG)
-            monkeypatch.setattr("worker.dask_pool.CHECK_SECONDS", 0.1)
+            monkeypatch.setattr("isogi_worker.dask_pool.CHECK_SECONDS", 0.1)
             joined._moved.set()
             assert wait_for(lambda: joined._client is not client and joined.connected, LONG)
             second.scale(1)

@@ -6,13 +6,13 @@ from collections.abc import Iterator
 
 import psutil
 import pytest
+from isogi_worker.fork_server import START_METHOD, WORKER_PROCESS_NAME
+from isogi_worker.local_pool import LocalPool
+from isogi_worker.tasks import bake_kernels
 
 from isogi_core.kernels._jit import entries_of
 from tests.server.sockets import wait_for
 from tests.worker.pools import run
-from worker.fork_server import START_METHOD, WORKER_PROCESS_NAME
-from worker.local_pool import LocalPool
-from worker.tasks import bake_kernels
 
 pytestmark = pytest.mark.skipif(
     START_METHOD != "forkserver", reason="workers are spawned on this system"
@@ -54,7 +54,7 @@ def test_workers_share_what_one_process_has_loaded(pool: LocalPool) -> None:
     assert {psutil.Process(pid).name() for pid in pool.pids()} == {WORKER_PROCESS_NAME}
     assert all(all(loaded) for loaded in run(pool, kernels_loaded))
     for names in run(pool, modules):
-        assert "worker.tasks" in names
+        assert "isogi_worker.tasks" in names
         assert names.isdisjoint(CLUSTER_MODULES)
 
 

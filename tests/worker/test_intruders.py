@@ -13,10 +13,10 @@ from pathlib import Path
 
 import psutil
 import pytest
+from isogi_worker.fork_server import START_METHOD
 
 from tests.cluster.intruder import fallen, ports_of
 from tests.cluster.processes import QUIET, ROOT, Cluster, end, listens, until
-from worker.fork_server import START_METHOD
 
 pytestmark = pytest.mark.cluster
 

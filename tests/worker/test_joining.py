@@ -5,8 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-
-from worker.dask_pool import DaskPool
+from isogi_worker.dask_pool import DaskPool
 
 
 def test_a_worker_that_is_replaced_has_died(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -39,7 +38,7 @@ def test_a_worker_that_is_replaced_has_died(monkeypatch: pytest.MonkeyPatch) -> 
         def close(self) -> None:
             pass
 
-    monkeypatch.setattr("worker.dask_pool.OwnClient", FakeClient)
+    monkeypatch.setattr("isogi_worker.dask_pool.OwnClient", FakeClient)
     pool = DaskPool("tcp://elsewhere")
     stirred = threading.Semaphore(0)
     pool.attend(stirred.release)

@@ -11,6 +11,12 @@ from typing import Any
 import numpy as np
 import psutil
 import pytest
+from isogi_worker.errors import LostWorkerError, WorkersAwayError, WorkersError
+from isogi_worker.fork_server import WORKER_PROCESS_NAME
+from isogi_worker.local_pool import LocalPool
+from isogi_worker.niceness import WORKER_NICENESS
+from isogi_worker.pool import TASKS_AHEAD
+from isogi_worker.tasks import OPENING_KERNELS, PLAIN_LAYER_KINDS, bake_kernels, open_spec
 
 from isogi_core.cache.chunk_store import ChunkStore
 from isogi_core.kernels._compilation import warm
@@ -29,12 +35,6 @@ from tests.worker.pools import (
     sleep_for_ever,
     tasks_for,
 )
-from worker.errors import LostWorkerError, WorkersAwayError, WorkersError
-from worker.fork_server import WORKER_PROCESS_NAME
-from worker.local_pool import LocalPool
-from worker.niceness import WORKER_NICENESS
-from worker.pool import TASKS_AHEAD
-from worker.tasks import OPENING_KERNELS, PLAIN_LAYER_KINDS, bake_kernels, open_spec
 
 BAKE = bake_kernels(PLAIN_LAYER_KINDS)
 WORKERS = 2
@@ -113,9 +113,11 @@ def test_missing_kernels_are_compiled_by_a_worker_meanwhile(
     """
     missing = set(PLAIN_LAYER_KINDS)
     monkeypatch.setattr(
-        "worker.local_pool.kernels_missing", lambda kinds: bool(missing & set(kinds))
+        "isogi_worker.local_pool.kernels_missing", lambda kinds: bool(missing & set(kinds))
     )
-    monkeypatch.setattr("worker.local_pool.START_METHOD", "spawn")  # none that were stored before
+    monkeypatch.setattr(
+        "isogi_worker.local_pool.START_METHOD", "spawn"
+    )  # none that were stored before
     with closing(LocalPool(1, kinds=("irradiance",))) as fresh:
         assert fresh.preparing == "The workers compile their kernels."
         assert wait_for(
@@ -228,7 +230,9 @@ def test_a_callback_that_fails_harms_no_other_task(pool: LocalPool, tmp_path: Pa
 
 
 def test_a_pool_that_cannot_start_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("worker.local_pool.start_fork_server", lambda: fail(OSError, 11, "no room"))
+    monkeypatch.setattr(
+        "isogi_worker.local_pool.start_fork_server", lambda: fail(OSError, 11, "no room")
+    )
     with pytest.raises(WorkersError, match="Cannot start the workers: "):
         LocalPool(1)
 
@@ -248,7 +252,7 @@ def test_tasks_of_a_closed_pool_are_put_off(tmp_path: Path) -> None:
 
 def test_a_pool_that_is_stopped_waits_for_no_worker(monkeypatch: pytest.MonkeyPatch) -> None:
     """If it waited for workers that still load kernels, a command would end seconds late."""
-    monkeypatch.setattr("worker.local_pool.run_worker", sleep_for_ever)
+    monkeypatch.setattr("isogi_worker.local_pool.run_worker", sleep_for_ever)
     stopped = threading.Event()
     threading.Timer(0.2, stopped.set).start()
     before = set(psutil.Process().children(recursive=True))

@@ -3,9 +3,7 @@ from collections.abc import Callable
 from itertools import groupby
 
 import pytest
-
-from tests.worker.clock import Clock
-from worker.progress import (
+from isogi_worker.progress import (
     ASSUMED_WORK_RATIOS,
     LEAST_SECONDS,
     MAX_KNOWN_RATIOS,
@@ -17,6 +15,8 @@ from worker.progress import (
     TimeEstimator,
     TimeLeft,
 )
+
+from tests.worker.clock import Clock
 
 
 @pytest.fixture

@@ -9,6 +9,22 @@ from typing import Any
 
 import numpy as np
 import pytest
+from isogi_worker import tasks
+from isogi_worker.tasks import (
+    BAKED_ELSEWHERE,
+    OPEN,
+    PLAIN_LAYER_KINDS,
+    BakeResult,
+    BakeTask,
+    bake,
+    bake_all,
+    bake_kernels,
+    claims_of,
+    dask_setup,
+    open_spec,
+    opened,
+    sample_texels,
+)
 
 from isogi_core.bake.bake_spec import BakeSpec, spec_for
 from isogi_core.bake.noise import Effort, finished, relative_error, standard_error
@@ -24,22 +40,6 @@ from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.prepared.shared_scenes import SharedScenes
 from isogi_core.storage.backend import StoreUrl
 from isogi_core.storage.store import SENTINEL_KEY, Store
-from worker import tasks
-from worker.tasks import (
-    BAKED_ELSEWHERE,
-    OPEN,
-    PLAIN_LAYER_KINDS,
-    BakeResult,
-    BakeTask,
-    bake,
-    bake_all,
-    bake_kernels,
-    claims_of,
-    dask_setup,
-    open_spec,
-    opened,
-    sample_texels,
-)
 
 INDEX = (1, 1, 2)
 UNTIL = most_samples(0.05)
@@ -181,7 +181,7 @@ def test_a_baker_claims_chunks_after_contention(
         if len(seen) == 1:
             bake(other)
 
-    monkeypatch.setattr("worker.tasks.sample_texels", meanwhile)
+    monkeypatch.setattr("isogi_worker.tasks.sample_texels", meanwhile)
     assert not bake(one).elsewhere
     bake(replace(one, until=64))
     assert seen[:2] == [[], []]
@@ -315,7 +315,7 @@ async def test_a_worker_answers_while_it_loads_kernels(monkeypatch: pytest.Monke
     def load(kinds: Collection[str]) -> None:
         loaded.append(kinds == PLAIN_LAYER_KINDS and answered.wait(5))
 
-    monkeypatch.setattr("worker.tasks.load_kernels", load)
+    monkeypatch.setattr("isogi_worker.tasks.load_kernels", load)
     asyncio.get_running_loop().call_soon(answered.set)
     await dask_setup(None)
     assert loaded == [True]

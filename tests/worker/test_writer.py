@@ -6,6 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from isogi_worker import writer as writing
+from isogi_worker.errors import LostWorkerError
+from isogi_worker.pool import WriteDone
+from isogi_worker.tasks import BakeResult, BakeTask, WriteTask, Written, bake, open_spec, write_all
+from isogi_worker.writer import MOST_FAILURES, LightWriter
 
 from isogi_core.bake.texel_light import Light
 from isogi_core.cache import fresh_light
@@ -14,11 +19,6 @@ from isogi_core.cache.fresh_light import FreshLight
 from isogi_core.errors import StoreAwayError
 from isogi_core.prepared.prepared_scene import Index
 from tests.worker.pools import SCENE, SPEC, TEXELS, tasks_for
-from worker import writer as writing
-from worker.errors import LostWorkerError
-from worker.pool import WriteDone
-from worker.tasks import BakeResult, BakeTask, WriteTask, Written, bake, open_spec, write_all
-from worker.writer import MOST_FAILURES, LightWriter
 
 INDEX = (0, 0, 0)
 DONE = BakeResult(0, 0.0, *([None] * 2))  # type: ignore[arg-type]

@@ -4,13 +4,14 @@ import random
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
+from isogi_server.api.service import HEARTBEAT, REFINING, SHORTEST_PAUSE
+from isogi_server.api.stream import WANT_EVERY
+from isogi_worker.bake_requests import Viewer
+from isogi_worker.baker import Baker
+
 from benchmarks.scaling.simulator.light import Light
 from benchmarks.scaling.simulator.world import Pause, Pending, World
 from isogi_core.frame.demand import Demand
-from server.api.service import HEARTBEAT, REFINING, SHORTEST_PAUSE
-from server.api.stream import WANT_EVERY
-from worker.bake_requests import Viewer
-from worker.baker import Baker
 
 TARGET = 0.05
 """The target error of the recordings."""

@@ -36,7 +36,7 @@ saved and read.
 
 TASK = float(1 << 14)
 """Cost of baking one chunk by one rung besides its paths, in paths of pixels: 8 ms of a worker,
-see ``worker.progress``.
+see ``isogi_worker.progress``.
 """
 
 FINER_TEXELS_COST = float(1 << 22)

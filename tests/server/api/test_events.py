@@ -9,8 +9,8 @@ from typing import Any
 
 import httpx
 import pytest
+from isogi_server.api.routes.events import answers
 
-from server.api.routes.events import answers
 from tests.live import serving
 
 PATH = "/v1/scenes/small/events"
@@ -72,7 +72,7 @@ def test_events_come_until_a_view_is_final_and_resume_by_id(client: httpx.Client
 def test_progress_tells_the_time_left(
     client: httpx.Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("server.api.routes.events.TIME_LEFT_SECONDS", 0.01)
+    monkeypatch.setattr("isogi_server.api.routes.events.TIME_LEFT_SECONDS", 0.01)
     told = [
         json.loads(each["data"])
         for each in events(client, azimuth=190)

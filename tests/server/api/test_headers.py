@@ -9,10 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-from isogi_core.frame.known_blocks import Part
-from isogi_core.frame.tiles import Stopwatch
-from server.api.headers import (
+from isogi_server.api.headers import (
     STAGES,
     Preferences,
     cache_status,
@@ -22,9 +19,12 @@ from server.api.headers import (
     server_timing,
     time_left_header,
 )
-from server.api.routes.card import gzipped
-from server.parameters import FrameParams
-from worker.progress import TimeLeft
+from isogi_server.api.routes.card import gzipped
+from isogi_server.parameters import FrameParams
+from isogi_worker.progress import TimeLeft
+
+from isogi_core.frame.known_blocks import Part
+from isogi_core.frame.tiles import Stopwatch
 
 ROOT = Path(__file__).resolve().parents[3]
 

@@ -8,22 +8,22 @@ from typing import Any, cast
 
 import httpx
 import pytest
+from isogi_server.api.app import create_app
+from isogi_server.api.routes.jobs import RESULTS, SCHEMA
+from isogi_server.errors import BusyError, UnknownJobError
+from isogi_server.render.engine import RenderEngine
+from isogi_server.render.jobs import Job, Jobs, Result, Status
+from isogi_server.settings import Settings
+from isogi_worker.baker import Baker
+from isogi_worker.pool import WorkerPool
 
 from isogi_core.errors import StoreError
 from isogi_core.plan.assembly import load_scene
-from server.api.app import create_app
-from server.api.routes.jobs import RESULTS, SCHEMA
-from server.errors import BusyError, UnknownJobError
-from server.render.engine import RenderEngine
-from server.render.jobs import Job, Jobs, Result, Status
-from server.settings import Settings
 from tests.client.lab import Broken
 from tests.live import live, serving
 from tests.server.idle import Idle, idle_server
 from tests.server.inline import LONG
 from tests.server.jobs import until_over
-from worker.baker import Baker
-from worker.pool import WorkerPool
 
 SOON = 2.0
 ASYNC = {"Prefer": "respond-async"}
@@ -132,13 +132,15 @@ async def test_all_jobs_end_as_dismissed_where_the_server_stops() -> None:
 
 
 async def test_ended_jobs_are_forgotten_by_age_and_number(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("server.render.jobs.MOST_KEPT", 3)
+    monkeypatch.setattr("isogi_server.render.jobs.MOST_KEPT", 3)
     jobs = Jobs(9)
     running = jobs.begin("test", "A test", endless)
     over = [jobs.begin("test", "A test", nothing) for _ in range(5)]
     await settle()
     assert jobs.all() == [*reversed(over[2:]), running]
-    monkeypatch.setattr("server.render.jobs.now", lambda: datetime.now(UTC) + timedelta(minutes=61))
+    monkeypatch.setattr(
+        "isogi_server.render.jobs.now", lambda: datetime.now(UTC) + timedelta(minutes=61)
+    )
     assert jobs.all() == [running]
     with pytest.raises(UnknownJobError):
         jobs.find(over[-1].id)

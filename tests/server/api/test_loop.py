@@ -11,13 +11,13 @@ from typing import Any
 
 import httpx
 import pytest
+from isogi_server.api.service import PictureRequest, RenderThreads, Service
+from isogi_server.render.engine import RenderEngine
+from isogi_server.render.loaded_scene import LoadedScene
+from isogi_worker.baker import Baker
 from websockets.sync.client import connect
 
-from server.api.service import PictureRequest, RenderThreads, Service
-from server.render.engine import RenderEngine
-from server.render.loaded_scene import LoadedScene
 from tests.server.idle import idle_server
-from worker.baker import Baker
 
 FIND = RenderEngine._find
 SIZE = "width=24&height=24&shading=lambert"

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import httpx
 import pytest
+from isogi_server.logs import JsonLines
 
 from isogi_core.errors import VolumeError, readable
 from isogi_core.plan.assembly import load_scene
-from server.logs import JsonLines
 from tests.live import serving
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -77,7 +77,7 @@ def test_commands_show_such_names(odd: Path, command: list[str], status: int) ->
     """Whatever the encoding of stdout and its way with what it lacks."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONIOENCODING": "utf-8:strict"}
     done = subprocess.run(
-        [sys.executable, "-m", "server", *command, str(odd)],
+        [sys.executable, "-m", "isogi_server", *command, str(odd)],
         env=environment,
         capture_output=True,
         check=False,

@@ -7,8 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-
-from server.api.stream import (
+from isogi_server.api.stream import (
     CLOSE_IDLE,
     CLOSE_POLICY,
     CLOSE_TOO_BIG,
@@ -22,9 +21,10 @@ from server.api.stream import (
     Inbox,
     Window,
 )
-from server.errors import StreamError
-from server.render.scheduling import Place
-from server.settings import Patience, Settings
+from isogi_server.errors import StreamError
+from isogi_server.render.scheduling import Place
+from isogi_server.settings import Patience, Settings
+
 from tests.server.loops import IN_NO_TIME
 
 

@@ -13,6 +13,25 @@ import httpx
 import numpy as np
 import pytest
 from fastapi import FastAPI
+from isogi_server.api import service as service_module
+from isogi_server.api.app import create_app
+from isogi_server.api.lifespan import Startup
+from isogi_server.api.routes import frames as frames_module
+from isogi_server.api.routes.frames import InTurn
+from isogi_server.api.routes.scenes import scene_facts
+from isogi_server.api.service import Service
+from isogi_server.errors import BusyError
+from isogi_server.parameters import ViewParams
+from isogi_server.pictures import npy_bytes
+from isogi_server.render.picture_checks import CHECK
+from isogi_server.render.scene_variant import SceneVariant
+from isogi_server.render.scheduling import Rank, Renders
+from isogi_server.render.update_bus import UpdateBus
+from isogi_server.settings import Patience, Settings
+from isogi_server.views import view_of
+from isogi_worker.bake_requests import Viewer
+from isogi_worker.baker import Listener
+from isogi_worker.progress import TimeLeft
 
 from isogi_core.errors import Cancelled, NoRoomError, StoreError
 from isogi_core.frame.frame import Frame, Quality
@@ -25,26 +44,7 @@ from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.store import Store
-from server.api import service as service_module
-from server.api.app import create_app
-from server.api.lifespan import Startup
-from server.api.routes import frames as frames_module
-from server.api.routes.frames import InTurn
-from server.api.routes.scenes import scene_facts
-from server.api.service import Service
-from server.errors import BusyError
-from server.parameters import ViewParams
-from server.pictures import npy_bytes
-from server.render.picture_checks import CHECK
-from server.render.scene_variant import SceneVariant
-from server.render.scheduling import Rank, Renders
-from server.render.update_bus import UpdateBus
-from server.settings import Patience, Settings
-from server.views import view_of
 from tests.server.sockets import wait_for
-from worker.bake_requests import Viewer
-from worker.baker import Listener
-from worker.progress import TimeLeft
 
 FRAME = "/v1/scenes/orbital/frame"
 

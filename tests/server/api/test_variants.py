@@ -8,15 +8,15 @@ from pathlib import Path
 import httpx
 import numpy as np
 import pytest
+from isogi_server.parameters import FrameParams
+from isogi_server.render.engine import RenderEngine
+from isogi_server.render.scene_variant import Change
+from isogi_server.render.variants import Variants
+from isogi_server.settings import Settings
+from isogi_server.views import view_of
 
 from isogi_core.model.lights import ENVIRONMENTS
 from isogi_core.plan.assembly import load_scene
-from server.parameters import FrameParams
-from server.render.engine import RenderEngine
-from server.render.scene_variant import Change
-from server.render.variants import Variants
-from server.settings import Settings
-from server.views import view_of
 from tests.server.asking import SMALL, final, numbers
 from tests.server.sockets import pictures_on
 

@@ -3,8 +3,7 @@
 import shlex
 
 import click
-
-from server.cli.command import cli
+from isogi_server.cli.command import cli
 
 
 def parsed(line: str) -> click.Context:

@@ -15,18 +15,18 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
+from isogi_server.cli.command import VIEW_OPTIONS, WORK_OPTIONS, run
+from isogi_server.cli.reel import Reel
+from isogi_server.cli.render import rendered, stopped_by
+from isogi_server.parameters import FrameParams, read
+from isogi_server.progress import open_scene
+from isogi_server.settings import Settings
 from PIL import Image
 
 from isogi_core.files.radiance import write_hdr
 from isogi_core.model.view import Camera, View
 from isogi_core.plan.assembly import load_scene
 from isogi_core.storage.atomic_file import write_whole
-from server.cli.command import VIEW_OPTIONS, WORK_OPTIONS, run
-from server.cli.reel import Reel
-from server.cli.render import rendered, stopped_by
-from server.parameters import FrameParams, read
-from server.progress import open_scene
-from server.settings import Settings
 from tests.server.asking import Told
 
 SIZE = ["--width", "24", "--height", "20"]
@@ -34,7 +34,7 @@ SIZE = ["--width", "24", "--height", "20"]
 
 def test_help_is_quick_to_import() -> None:
     heavy = ("numba", "numpy", "fastapi", "pydantic", "distributed", "zarr", "PIL")
-    code = "import sys; from server.cli.command import run; run(['--help']);"
+    code = "import sys; from isogi_server.cli.command import run; run(['--help']);"
     code += f"print([name for name in {heavy} if name in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.endswith("[]\n")
@@ -55,10 +55,10 @@ def test_a_file_in_place_of_a_command_is_served(
     served: list[str] = []
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(
-        "server.cli.serve.serve",
+        "isogi_server.cli.serve.serve",
         lambda target, settings: served.append(f"{target} {settings.port}"),
     )
-    monkeypatch.setattr("server.cli.command.start_fork_server", lambda: None)
+    monkeypatch.setattr("isogi_server.cli.command.start_fork_server", lambda: None)
     assert run([target, "--port", "8123"]) == 0
     assert served == [f"{target} 8123"]
 
@@ -263,7 +263,7 @@ def test_an_output_that_cannot_be_written_is_said_first(
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "posix_fallocate", full)
-    monkeypatch.setattr("server.cli.render.working", lambda *_: pytest.fail("it was begun"))
+    monkeypatch.setattr("isogi_server.cli.render.working", lambda *_: pytest.fail("it was begun"))
     (tmp_path / "a.png").write_bytes(b"old")
     assert run(["render", "demo:orbital", "-o", str(tmp_path / "a.png"), *SIZE]) == 1
     error = capsys.readouterr().err.splitlines()[-1]
@@ -280,7 +280,7 @@ def test_a_render_whose_store_is_full_fails_with_a_word(
     facts = {"file": "a.png", "width": 9, "height": 9, "stopped": "time", "note": "", "final": 0.5}
     known = {"error": 0.5, "target_error": 0.02, "interval": None, "p99": None}
     full = {"trouble": "The store is full: make room, and baking goes on."}
-    monkeypatch.setattr("server.cli.render.render", lambda *_: {**facts, **known, **full})
+    monkeypatch.setattr("isogi_server.cli.render.render", lambda *_: {**facts, **known, **full})
     assert run(["render", "demo:orbital", "-o", "a.png"]) == 1
     said = capsys.readouterr()
     assert "provisional" in said.out
@@ -319,7 +319,9 @@ def test_long_work_checks_its_output_first(
 
     monkeypatch.setattr(os, "posix_fallocate", full)
     for module in ("reel", "prewarm", "publish_live"):
-        monkeypatch.setattr(f"server.cli.{module}.working", lambda *_, **__: pytest.fail("begun"))
+        monkeypatch.setattr(
+            f"isogi_server.cli.{module}.working", lambda *_, **__: pytest.fail("begun")
+        )
     assert run([*command, "-o", str(tmp_path / output)]) == 1
     error = capsys.readouterr().err.splitlines()[-1]
     assert "cannot be written (No space left on device): make room" in error
@@ -331,7 +333,7 @@ def test_work_whose_store_is_full_fails_with_a_word(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], work: str
 ) -> None:
     facts = {"file": "a", "trouble": "The store is full: make room, and baking goes on."}
-    monkeypatch.setattr(f"server.cli.{work}.{work}", lambda *_: facts)
+    monkeypatch.setattr(f"isogi_server.cli.{work}.{work}", lambda *_: facts)
     assert run([work, "demo:orbital", "-o", "a", "--json"]) == 1
     said = capsys.readouterr()
     assert json.loads(said.out) == facts
@@ -365,7 +367,7 @@ def test_a_full_disk_is_a_sentence(
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("server.cli.render.render", full)
+    monkeypatch.setattr("isogi_server.cli.render.render", full)
     assert run(["render", "demo:orbital", "-o", "a.png"]) == 1
     assert capsys.readouterr().err == (
         "isogi: The output cannot be written (No space left on device): make room, and run the "
@@ -390,7 +392,7 @@ def test_a_write_that_fails_leaves_the_old_file(
 @pytest.fixture
 def serving(small_scene: Path, store: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """A ``serve`` process and the address that it printed."""
-    command = [sys.executable, "-m", "server", "serve", str(small_scene), "--port", "0"]
+    command = [sys.executable, "-m", "isogi_server", "serve", str(small_scene), "--port", "0"]
     command += ["--workers", "1", "--store", str(store)]
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -426,8 +428,8 @@ def test_a_reference_is_grown_in_its_file(told: Told, small_scene: Path, tmp_pat
 
 STOPPED_WHILE_IT_STARTS = """
 import errno, os, signal, sys, time
-from server.cli.command import run
-from server.render.engine import RenderEngine
+from isogi_server.cli.command import run
+from isogi_server.render.engine import RenderEngine
 
 def start(engine, *_):
     os.kill(os.getpid(), signal.SIGINT)
@@ -442,11 +444,11 @@ sys.exit(run(["serve", sys.argv[1], "--port", "0", "--store", sys.argv[2]]))
 INTERRUPTED = """
 import os, signal, sys
 from importlib import import_module
-from worker.fork_server import PRELOADED_MODULES
+from isogi_worker.fork_server import PRELOADED_MODULES
 
 class Interrupt:
     def find_spec(self, name, *_):
-        if name == "worker.tasks":
+        if name == "isogi_worker.tasks":
             os.kill(os.getpid(), signal.SIGINT)
             print("interrupted")
 

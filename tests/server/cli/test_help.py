@@ -7,11 +7,11 @@ from pathlib import Path
 
 import click
 import pytest
+from isogi_server.cli.command import cli, run
+from isogi_server.cli.help import EXAMPLES, FIRST_HEADING, group_of
+from isogi_server.cli.setting_options import SECRET_SETTINGS, flag, rows, variable
+from isogi_server.settings import Settings
 
-from server.cli.command import cli, run
-from server.cli.help import EXAMPLES, FIRST_HEADING, group_of
-from server.cli.setting_options import SECRET_SETTINGS, flag, rows, variable
-from server.settings import Settings
 from tests.server.cli.lines import parsed
 
 DOCUMENT = Path(__file__).resolve().parents[3] / "docs" / "settings.md"
@@ -27,14 +27,14 @@ def test_the_help_lists_every_setting(capsys: pytest.CaptureFixture[str]) -> Non
 
 
 def test_only_where_to_listen_is_in_no_group() -> None:
-    """Where it fails: a new setting belongs into a group of ``server.cli.help``."""
+    """Where it fails: a new setting belongs into a group of ``isogi_server.cli.help``."""
     ungrouped = [name for name in Settings.model_fields if group_of(name) == FIRST_HEADING]
     assert ungrouped == ["host", "port", *SECRET_SETTINGS]
 
 
 def test_the_document_has_a_row_for_each_setting() -> None:
     """Where it fails: the rows of docs/settings.md are those that
-    ``server.cli.setting_options.rows`` gives.
+    ``isogi_server.cli.setting_options.rows`` gives.
     """
     lines = DOCUMENT.read_text(encoding="utf-8").splitlines()
     assert [line for line in lines if "`ISOGI_" in line and line.startswith("| ")] == rows()

@@ -5,10 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from isogi_server.cli.film import write_movie
+from isogi_server.cli.loops import LONGEST_MILLISECONDS
 from PIL import Image
-
-from server.cli.film import write_movie
-from server.cli.loops import LONGEST_MILLISECONDS
 
 SIZE = (41, 30)
 

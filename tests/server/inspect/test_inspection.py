@@ -16,12 +16,7 @@ from typing import Any
 import nrrd
 import numpy as np
 import pytest
-from PIL import Image
-
-from isogi_core.model.volume import make_volume
-from isogi_core.plan.assembly import load_scene
-from isogi_core.plan.scene import Scene
-from server.inspect.inspection import (
+from isogi_server.inspect.inspection import (
     ISOVALUES,
     InspectionSchema,
     StiffnessSchema,
@@ -33,7 +28,12 @@ from server.inspect.inspection import (
     percent,
     remarks,
 )
-from server.inspect.text import LEAD_COLUMNS, full_text, inspect, shown_places
+from isogi_server.inspect.text import LEAD_COLUMNS, full_text, inspect, shown_places
+from PIL import Image
+
+from isogi_core.model.volume import make_volume
+from isogi_core.plan.assembly import load_scene
+from isogi_core.plan.scene import Scene
 from tests.server.asking import Told
 
 needs_matplotlib = pytest.mark.skipif(
@@ -235,7 +235,7 @@ def test_the_picture(told: Told, small_scene: Path, tmp_path: Path) -> None:
 
 @needs_matplotlib
 def test_a_volume_without_a_surface_has_a_picture_too(tmp_path: Path) -> None:
-    from server.inspect.picture import save_picture
+    from isogi_server.inspect.picture import save_picture
 
     save_picture(tmp_path / "a.png", inspection_schema(scene_of(np.ones((4, 5, 6)), 1.0)))
     assert (tmp_path / "a.png").stat().st_size > 1000
@@ -258,7 +258,7 @@ def test_without_matplotlib_a_sentence_says_what_to_install(
 
 
 def test_an_inspection_without_a_picture_needs_no_matplotlib() -> None:
-    code = "import sys; sys.modules['matplotlib'] = None; import server.inspect.text"
+    code = "import sys; sys.modules['matplotlib'] = None; import isogi_server.inspect.text"
     subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
 
 

@@ -31,5 +31,5 @@ def blocks(small_scene: Path) -> Path:
 def all_inline() -> Iterator[None]:
     """Have all bakes of a module run on a thread of this process."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("worker.pool.start_pool", InlinePool)
+        patch.setattr("isogi_worker.pool.start_pool", InlinePool)
         yield

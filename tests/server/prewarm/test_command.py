@@ -13,24 +13,24 @@ from typing import Any
 
 import numpy as np
 import pytest
+from isogi_server.api.prewarm_jobs import RecordAges
+from isogi_server.cli.prewarm import prewarm
+from isogi_server.prewarm.order import Views, order_of
+from isogi_server.prewarm.record import Record, RecordDocument, Summary
+from isogi_server.render.engine import RenderEngine
+from isogi_server.settings import Settings
+from isogi_worker import pool
+from isogi_worker.errors import WorkersError
+from isogi_worker.pool import Done
+from isogi_worker.tasks import BakeTask
 
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.frame import projected_texels
 from isogi_core.frame.rays.picture_plan import SHARED_PRICES
 from isogi_core.kernels.shading.framebuffer import CONVERGING
 from isogi_core.plan.assembly import load_scene
-from server.api.prewarm_jobs import RecordAges
-from server.cli.prewarm import prewarm
-from server.prewarm.order import Views, order_of
-from server.prewarm.record import Record, RecordDocument, Summary
-from server.render.engine import RenderEngine
-from server.settings import Settings
 from tests.server.asking import Told
 from tests.server.inline import InlinePool, chunks_in, view_of, weigh_at
-from worker import pool
-from worker.errors import WorkersError
-from worker.pool import Done
-from worker.tasks import BakeTask
 
 SIZE = {"width": 24, "height": 20}
 
@@ -233,7 +233,7 @@ def test_who_interrupts_it_is_told_how_to_go_on(
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("server.prewarm.baking.Baking.run", interrupted)
+    monkeypatch.setattr("isogi_server.prewarm.baking.Baking.run", interrupted)
     said = told("prewarm", blocks, "--views", "3", "--store", tmp_path, "--workers", "1", status=1)
     assert "--continue goes on" in said
     (record,) = (tmp_path / "jobs").glob("*.json")

@@ -11,17 +11,17 @@ from typing import Any
 
 import httpx
 import pytest
+from isogi_server.cli.prewarm import prewarm
+from isogi_server.prewarm.order import order_of
+from isogi_server.prewarm.record import recorded_prewarms
+from isogi_server.settings import Settings
+from isogi_worker.bake_requests import GUEST_VIEWER
 
 from isogi_core.plan.assembly import load_scene
-from server.cli.prewarm import prewarm
-from server.prewarm.order import order_of
-from server.prewarm.record import recorded_prewarms
-from server.settings import Settings
 from tests.server.idle import Idle, idle_server
 from tests.server.inline import LONG, chunks_in
 from tests.server.jobs import baking, until_over
 from tests.server.sockets import wait_for
-from worker.bake_requests import GUEST_VIEWER
 
 ORDER: dict[str, Any] = {"isovalues": [0.5], "views": 3, "width": 24, "height": 20}
 PREWARM = "/v1/scenes/blocks/prewarm"

@@ -6,12 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-from isogi_core.errors import ViewError
-from isogi_core.plan.assembly import load_scene
-from server.cli.prewarm import fields_given
-from server.errors import ParameterError
-from server.prewarm.order import (
+from isogi_server.cli.prewarm import fields_given
+from isogi_server.errors import ParameterError
+from isogi_server.prewarm.order import (
     PrewarmOrder,
     PrewarmRequest,
     Views,
@@ -20,7 +17,10 @@ from server.prewarm.order import (
     orbit,
     order_of,
 )
-from server.settings import Settings
+from isogi_server.settings import Settings
+
+from isogi_core.errors import ViewError
+from isogi_core.plan.assembly import load_scene
 
 
 def test_directions_are_spread_evenly() -> None:

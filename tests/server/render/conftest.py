@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from isogi_server.render.engine import RenderEngine
+from isogi_worker import pool
 
 from isogi_core.plan.scene import Scene
-from server.render.engine import RenderEngine
 from tests.server.buckets import Begin, engine_at, picture
 from tests.server.inline import InlinePool, chunks_in
-from worker import pool
 
 
 @pytest.fixture
@@ -47,8 +47,8 @@ def hasty(inline: None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("isogi_core.storage.store.CHECKED", 0.0)
     monkeypatch.setattr("isogi_core.storage.store.WRITE_RETRY_SECONDS", 0.0)
     monkeypatch.setattr("isogi_core.cache.scene_caches.ASK_AGAIN", 0.0)
-    monkeypatch.setattr("worker.baker.SHORTEST_PAUSE", 0.01)
-    monkeypatch.setattr("worker.baker.LONGEST_PAUSE", 0.01)
+    monkeypatch.setattr("isogi_worker.baker.SHORTEST_PAUSE", 0.01)
+    monkeypatch.setattr("isogi_worker.baker.LONGEST_PAUSE", 0.01)
 
 
 @pytest.fixture(scope="module")

@@ -13,12 +13,12 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 import pytest
+from isogi_server.render.engine import RenderEngine
 
 from isogi_core.errors import StoreError
 from isogi_core.plan.assembly import load_scene
 from isogi_core.storage.backend import StoreUrl
 from isogi_core.storage.store import Store
-from server.render.engine import RenderEngine
 from tests.cluster.processes import until
 from tests.proxy import Harm, Proxy
 from tests.server.buckets import chunks_at, killed_when
@@ -32,8 +32,8 @@ CALL = 1.0
 @pytest.fixture(autouse=True)
 def forgiving(hasty: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """Soon try again what was given up."""
-    monkeypatch.setattr("worker.queue.FORGET_AFTER", 2.0)
-    monkeypatch.setattr("worker.queue.EXPIRY_CHECK_SECONDS", 0.1)
+    monkeypatch.setattr("isogi_worker.queue.FORGET_AFTER", 2.0)
+    monkeypatch.setattr("isogi_worker.queue.EXPIRY_CHECK_SECONDS", 0.1)
     monkeypatch.setattr("isogi_core.storage.store.CHECKED", 0.05)
 
 

@@ -15,6 +15,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from isogi_server.cli.render import draw_refined
+from isogi_server.render.engine import RenderEngine
+from isogi_server.render.picture_checks import CHECK, LIGHT_PATIENCE_SECONDS
+from isogi_server.render.stores import StoreProbe, whereabouts
+from isogi_worker import pool
+from isogi_worker.bake_requests import GUEST_VIEWER
+from isogi_worker.errors import WorkersAwayError, WorkersError
 
 from isogi_core.errors import Cancelled, StoreError
 from isogi_core.frame.entry_kernels import FRAME, LOBES
@@ -33,17 +40,10 @@ from isogi_core.plan.scene import Scene
 from isogi_core.prepared.shared_scenes import SharedScene
 from isogi_core.storage import folder
 from isogi_core.storage.backend import StoreUrl
-from server.cli.render import draw_refined
-from server.render.engine import RenderEngine
-from server.render.picture_checks import CHECK, LIGHT_PATIENCE_SECONDS
-from server.render.stores import StoreProbe, whereabouts
 from tests.scale import COMPILED
 from tests.server.buckets import Begin
 from tests.server.inline import LONG, InlinePool, chunks_in, view_of
 from tests.server.sockets import wait_for
-from worker import pool
-from worker.bake_requests import GUEST_VIEWER
-from worker.errors import WorkersAwayError, WorkersError
 
 ROOT = Path(__file__).resolve().parents[3]
 pytestmark = pytest.mark.usefixtures("inline")
@@ -192,7 +192,7 @@ def test_a_scheduler_that_comes_later_is_joined_then(
             raise WorkersAwayError("The scheduler is late.")
         return InlinePool(*given)
 
-    monkeypatch.setattr("server.render.engine_workers.SCHEDULER_RETRY_SECONDS", 0.01)
+    monkeypatch.setattr("isogi_server.render.engine_workers.SCHEDULER_RETRY_SECONDS", 0.01)
     monkeypatch.setattr(pool, "start_pool", join)
     engine = begin()
     assert not look(engine, wait=LONG).provisional
@@ -468,12 +468,12 @@ import json, sys
 from contextlib import closing
 from isogi_core.plan.assembly import load_scene
 from isogi_core.model.view import View, quaternion_from_angles
-from server.render.stores import StoreProbe
-from server.render.engine import RenderEngine
+from isogi_server.render.stores import StoreProbe
+from isogi_server.render.engine import RenderEngine
 from tests.compile_kernels import entry_kernels
 from tests.server.buckets import Begin
 from tests.server.inline import LONG, InlinePool, chunks_in, view_of
-from worker import pool
+from isogi_worker import pool
 
 class Idle:
     room, trouble, preparing, keeps_light = 0, "", "", False

@@ -9,6 +9,11 @@ from queue import Queue
 from typing import Any
 
 import pytest
+from isogi_server.answers import scene_schema
+from isogi_server.cli.render import awaited
+from isogi_server.render.engine import RenderEngine
+from isogi_server.render.picture_checks import CHECK
+from isogi_worker.bake_requests import GUEST_VIEWER
 
 from isogi_core.errors import ReportError
 from isogi_core.frame.frame import Frame
@@ -17,12 +22,7 @@ from isogi_core.kernels.shading.framebuffer import PROVISIONAL
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene
 from isogi_report.bench import Bench
-from server.answers import scene_schema
-from server.cli.render import awaited
-from server.render.engine import RenderEngine
-from server.render.picture_checks import CHECK
 from tests.server.inline import LONG
-from worker.bake_requests import GUEST_VIEWER
 
 HALO = {"isovalue": 0.012, "clear": 0.6, "albedo": [0.4, 0.6, 0.9], "name": "halo"}
 SCENE = {

@@ -19,25 +19,25 @@ from typing import Any
 
 import httpx
 import pytest
+from isogi_server.api.app import create_app
+from isogi_server.api.routes import frames as completion
+from isogi_server.api.routes.events import resumed
+from isogi_server.cli.command import run
+from isogi_server.render.engine import RenderEngine
+from isogi_server.settings import Settings
+from isogi_worker import pool
+from isogi_worker.pool import Done
+from isogi_worker.tasks import BakeTask
 
 from isogi_core.errors import StoreAwayError
 from isogi_core.plan.assembly import load_scene
 from isogi_core.storage.backend import StoreUrl
 from isogi_core.storage.folder import Copies
 from isogi_core.storage.store import Store
-from server.api.app import create_app
-from server.api.routes import frames as completion
-from server.api.routes.events import resumed
-from server.cli.command import run
-from server.render.engine import RenderEngine
-from server.settings import Settings
 from tests.live import live
 from tests.s3 import ACCESS_KEY, SECRET_KEY, Call, Fault, S3Server
 from tests.server.inline import LONG, InlinePool, chunks_in, view_of
 from tests.server.sockets import wait_for
-from worker import pool
-from worker.pool import Done
-from worker.tasks import BakeTask
 
 ROOT = Path(__file__).resolve().parents[3]
 VIEW = {"width": 40, "height": 40}
@@ -55,7 +55,7 @@ def sent(hasty: None, monkeypatch: pytest.MonkeyPatch) -> list[bytes]:
         submit(workers, task, done)
 
     monkeypatch.setattr(InlinePool, "submit", noted)
-    monkeypatch.setattr("server.render.stores.FINDING_SECONDS", 0.0)
+    monkeypatch.setattr("isogi_server.render.stores.FINDING_SECONDS", 0.0)
     return tasks
 
 

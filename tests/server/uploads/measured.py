@@ -6,14 +6,14 @@ import sys
 import tempfile
 from pathlib import Path
 
-from server.uploads.folder import VOLUME_KIND
-from server.uploads.uploads import READER_ENVIRONMENT
+from isogi_server.uploads.folder import VOLUME_KIND
+from isogi_server.uploads.uploads import READER_ENVIRONMENT
 
 CODE = """
 import json, sys, warnings
 warnings.simplefilter("ignore")
 status = open("/proc/self/status")  # the reader itself can open nothing any more
-from server.uploads import reader
+from isogi_server.uploads import reader
 _, body, out, kind, voxels = sys.argv
 answer = reader.main("a file", int(body), int(out), kind, int(voxels), 60)
 status.seek(0)

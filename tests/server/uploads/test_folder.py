@@ -14,11 +14,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-from isogi_core.files.formats.opening import open_file
-from isogi_core.files.grid import Grid, LabelName
-from server.errors import FullError
-from server.uploads.folder import (
+from isogi_server.errors import FullError
+from isogi_server.uploads.folder import (
     NRRD_TYPES,
     SCENE_BYTES,
     UploadFolder,
@@ -26,6 +23,9 @@ from server.uploads.folder import (
     read_volume,
     write,
 )
+
+from isogi_core.files.formats.opening import open_file
+from isogi_core.files.grid import Grid, LabelName
 from tests.loaded import read_nrrd
 from tests.server.uploads.files import names
 
@@ -121,7 +121,7 @@ def test_a_disk_that_is_full_says_so_and_nothing_is_left(
 KILLED = """
 import sys, time
 from pathlib import Path
-from server.uploads.folder import UploadFolder
+from isogi_server.uploads.folder import UploadFolder
 folder = UploadFolder(Path(sys.argv[1]))
 folder.open()
 with folder.drafts() as (body, draft):

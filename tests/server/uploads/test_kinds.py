@@ -13,12 +13,12 @@ from pathlib import Path
 import nrrd
 import numpy as np
 import pytest
+from isogi_server.uploads.folder import read_volume
+from isogi_server.uploads.uploads import PYTHON_ROOT
 
 from isogi_core.files.formats.opening import open_file
 from isogi_core.files.grid import LabelName, on_right_angles
 from isogi_core.model.volume import Orientation
-from server.uploads.folder import read_volume
-from server.uploads.uploads import PYTHON_ROOT
 from tests.files.formats.every_kind import F, written
 from tests.files.formats.phantom import ORIGIN, STEPS
 from tests.loaded import load_scene
@@ -34,7 +34,7 @@ def read_confined(path: Path, folder: Path) -> Path:
     with path.open("rb") as upload, tempfile.TemporaryFile(dir=folder) as out:
         arguments = [path.name, str(upload.fileno()), str(out.fileno()), "volume", str(1 << 16)]
         done = subprocess.run(
-            [sys.executable, "-P", "-m", "server.uploads.reader", *arguments],
+            [sys.executable, "-P", "-m", "isogi_server.uploads.reader", *arguments],
             input=b"60\n",
             capture_output=True,
             pass_fds=[upload.fileno(), out.fileno()],

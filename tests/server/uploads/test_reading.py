@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from isogi_server.uploads import uploads
+from isogi_server.uploads.folder import ENVIRONMENT_KIND
+from isogi_server.uploads.sandbox import lacking
+from isogi_server.uploads.uploads import PYTHON_ROOT, Reader
 
 from isogi_core.files.radiance import encode_rgbe
-from server.uploads import uploads
-from server.uploads.folder import ENVIRONMENT_KIND
-from server.uploads.sandbox import lacking
-from server.uploads.uploads import PYTHON_ROOT, Reader
 from tests.server.asking import Ask
 from tests.server.uploads import claims
 from tests.server.uploads.files import ball
@@ -153,7 +153,7 @@ def test_a_picture_of_microscopes_may_be_sent(tmp_path: Path) -> None:
 
 ATTEMPTS = """
 import ctypes, json, os, socket, sys, threading
-from server.uploads import sandbox
+from isogi_server.uploads import sandbox
 
 def succeeds(attempt):
     try:

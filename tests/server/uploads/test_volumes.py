@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from isogi_server.errors import UploadFolderError
+from isogi_server.settings import Settings
+from isogi_server.uploads.folder import SCENE_BYTES, UploadFolder
 
 from isogi_core.errors import StoreError
-from server.errors import UploadFolderError
-from server.settings import Settings
-from server.uploads.folder import SCENE_BYTES, UploadFolder
 from tests.server.asking import Ask
 from tests.server.uploads.files import FIELDS, ball, headed, names
 from tests.server.uploads.site import Open, Poster, client_of
@@ -190,7 +190,7 @@ def test_the_quota_is_held(ask: Ask, open_app: Open, folder: Path) -> None:
 def test_small_volumes_count_too_also_after_a_restart(
     ask: Ask, open_app: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("server.uploads.folder.SCENE_BYTES", 6 << 20)
+    monkeypatch.setattr("isogi_server.uploads.folder.SCENE_BYTES", 6 << 20)
     app = open_app(uploads_mb=19)
     answers = [
         ask(app, "POST", "/v1/volumes", content=ball(side)).status_code for side in (2, 3, 4, 5)

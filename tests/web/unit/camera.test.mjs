@@ -1,10 +1,10 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { AXIS_VIEWS, boxOf, limitTarget, looksAlong, pan, placeOf, rayThrough, sidesOf, towardsEye } from "../../../web/view/camera.js";
-import { dragObject, hold, pinched, wheelZoom } from "../../../web/view/gestures.js";
-import { spotOf } from "../../../web/view/marks.js";
-import { pictureSize } from "../../../web/view/picture.js";
-import { aboutAxis, cameraAxes, compose, dragLight, fromAngles, rollLight, toAngles, turnVector } from "../../../web/view/rotation.js";
+import { AXIS_VIEWS, boxOf, limitTarget, looksAlong, pan, placeOf, rayThrough, sidesOf, towardsEye } from "../../../web/isogi_web/view/camera.js";
+import { dragObject, hold, pinched, wheelZoom } from "../../../web/isogi_web/view/gestures.js";
+import { spotOf } from "../../../web/isogi_web/view/marks.js";
+import { pictureSize } from "../../../web/isogi_web/view/picture.js";
+import { aboutAxis, cameraAxes, compose, dragLight, fromAngles, rollLight, toAngles, turnVector } from "../../../web/isogi_web/view/rotation.js";
 import { SCENE, close, knobs } from "./fixtures.mjs";
 
 const RADIUS = Math.sqrt(75); // half the diagonal of 10 × 10 × 10

@@ -1,14 +1,14 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { halfOf, ones, readBlocks } from "../../../web/card/blocks.js";
-import { EMPTY, brickShape, findRanges, markCells } from "../../../web/card/cells.js";
-import { codeOf, facesOf } from "../../../web/card/document.js";
-import { bandRotations, turned } from "../../../web/card/harmonics.js";
-import { quadricOf, rotationMatrix, turnLight } from "../../../web/card/light.js";
-import { SAMPLES, discOf, jitterOf } from "../../../web/card/picture.js";
-import { joined } from "../../../web/card/programs.js";
-import { pinhole, raysOf, windowOf } from "../../../web/card/rays.js";
-import { fromAngles, turnVector } from "../../../web/view/rotation.js";
+import { halfOf, ones, readBlocks } from "../../../web/isogi_web/card/blocks.js";
+import { EMPTY, brickShape, findRanges, markCells } from "../../../web/isogi_web/card/cells.js";
+import { codeOf, facesOf } from "../../../web/isogi_web/card/document.js";
+import { bandRotations, turned } from "../../../web/isogi_web/card/harmonics.js";
+import { quadricOf, rotationMatrix, turnLight } from "../../../web/isogi_web/card/light.js";
+import { SAMPLES, discOf, jitterOf } from "../../../web/isogi_web/card/picture.js";
+import { joined } from "../../../web/isogi_web/card/programs.js";
+import { pinhole, raysOf, windowOf } from "../../../web/isogi_web/card/rays.js";
+import { fromAngles, turnVector } from "../../../web/isogi_web/view/rotation.js";
 import { close } from "./fixtures.mjs";
 
 /** Numbers that look random and are the same in every run. */

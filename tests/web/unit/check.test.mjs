@@ -1,7 +1,7 @@
 import assert from "node:assert/strict";
 import { beforeEach, test } from "node:test";
-import { MOST_DIFFER, shareThatDiffers } from "../../../web/live/check.js";
-import { Live } from "../../../web/live/live.js";
+import { MOST_DIFFER, shareThatDiffers } from "../../../web/isogi_web/live/check.js";
+import { Live } from "../../../web/isogi_web/live/live.js";
 import { FakeClock, SCENE, knobs, settled } from "./fixtures.mjs";
 
 const SIZE = { width: 80, height: 60 };

@@ -1,9 +1,9 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { firstOther, namesOf, RightSide } from "../../../web/panels/comparison.js";
-import { isOneWorld, linkedCamera } from "../../../web/view/camera.js";
-import { readDifference, ViewModel } from "../../../web/view/model.js";
+import { firstOther, namesOf, RightSide } from "../../../web/isogi_web/panels/comparison.js";
+import { isOneWorld, linkedCamera } from "../../../web/isogi_web/view/camera.js";
+import { readDifference, ViewModel } from "../../../web/isogi_web/view/model.js";
 import { knobs, SCENE } from "./fixtures.mjs";
 
 const SERIES = { ...SCENE, ranges: { ...SCENE.ranges, time: { min: 0, max: 7 } }, defaults: { ...SCENE.defaults, time: 0 } };

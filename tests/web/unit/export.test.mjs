@@ -1,11 +1,11 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { beginExport, readJob, stopJob } from "../../../web/net/api.js";
-import { CompilingLine, compilingWords, progressWords } from "../../../web/net/compiling.js";
-import { exportQuery, jobInWords } from "../../../web/net/export.js";
-import { frameQuery } from "../../../web/net/request.js";
-import { Bridge } from "../../../web/notebook/bridge.js";
-import { keyframe, keyframeInWords, parseViews, viewsFile } from "../../../web/panels/views.js";
+import { beginExport, readJob, stopJob } from "../../../web/isogi_web/net/api.js";
+import { CompilingLine, compilingWords, progressWords } from "../../../web/isogi_web/net/compiling.js";
+import { exportQuery, jobInWords } from "../../../web/isogi_web/net/export.js";
+import { frameQuery } from "../../../web/isogi_web/net/request.js";
+import { Bridge } from "../../../web/isogi_web/notebook/bridge.js";
+import { keyframe, keyframeInWords, parseViews, viewsFile } from "../../../web/isogi_web/panels/views.js";
 import { SCENE, knobs } from "./fixtures.mjs";
 
 const QUERY = frameQuery(SCENE, knobs({ isovalue: 71.5, yaw: 40, exposure: 3, environment: "studio" }), { width: 9, height: 8 });

@@ -1,7 +1,7 @@
 import assert from "node:assert/strict";
 import { beforeEach, test } from "node:test";
-import { Feed } from "../../../web/live/feed.js";
-import { fromAngles } from "../../../web/view/rotation.js";
+import { Feed } from "../../../web/isogi_web/live/feed.js";
+import { fromAngles } from "../../../web/isogi_web/view/rotation.js";
 import { FakeClock, knobs, settled } from "./fixtures.mjs";
 
 const STRAIGHT = { yaw: 0, pitch: 0, roll: 0 };

@@ -1,9 +1,9 @@
 import assert from "node:assert/strict";
 import { beforeEach, test } from "node:test";
-import { Refusal } from "../../../web/card/device.js";
-import { Live } from "../../../web/live/live.js";
-import { albedoOf, cardView, chunksQuery, documentQuery, lightQuery, viewNear } from "../../../web/live/view.js";
-import { troubleOf } from "../../../web/net/trouble.js";
+import { Refusal } from "../../../web/isogi_web/card/device.js";
+import { Live } from "../../../web/isogi_web/live/live.js";
+import { albedoOf, cardView, chunksQuery, documentQuery, lightQuery, viewNear } from "../../../web/isogi_web/live/view.js";
+import { troubleOf } from "../../../web/isogi_web/net/trouble.js";
 import { PAINTED, SCENE, FakeClock, knobs, settled } from "./fixtures.mjs";
 
 const DOCUMENT = { grounds: { dark: [0, 0, 0], light: [1, 1, 1] }, volume: { slabs: [{ href: "card/volume/0-2" }, { href: "card/volume/2-4" }] } };

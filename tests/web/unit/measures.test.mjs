@@ -1,11 +1,11 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { complaints, readAddress, writeAddress } from "../../../web/net/address.js";
-import { sizeRows } from "../../../web/panels/reading.js";
-import { rayThrough } from "../../../web/view/camera.js";
-import { MOST, angleOf, arcOf, coordinatesInWords, distanceOf, knownInWords, lengthInWords, limitMeasures, limitNotes, measureInWords, placeInWords, readCrossHair, readMeasure, sidesAt, writeCrossHair, writeMeasure } from "../../../web/view/measures.js";
-import { ViewModel } from "../../../web/view/model.js";
-import { legendNumbers, legendOf, legendShapes, roundLength, rulerShapes, scaleBar, tripod } from "../../../web/view/rulers.js";
+import { complaints, readAddress, writeAddress } from "../../../web/isogi_web/net/address.js";
+import { sizeRows } from "../../../web/isogi_web/panels/reading.js";
+import { rayThrough } from "../../../web/isogi_web/view/camera.js";
+import { MOST, angleOf, arcOf, coordinatesInWords, distanceOf, knownInWords, lengthInWords, limitMeasures, limitNotes, measureInWords, placeInWords, readCrossHair, readMeasure, sidesAt, writeCrossHair, writeMeasure } from "../../../web/isogi_web/view/measures.js";
+import { ViewModel } from "../../../web/isogi_web/view/model.js";
+import { legendNumbers, legendOf, legendShapes, roundLength, rulerShapes, scaleBar, tripod } from "../../../web/isogi_web/view/rulers.js";
 import { SCENE, knobs } from "./fixtures.mjs";
 
 const VOXELS = { unit: "", spacing: [1, 1, 1] };

@@ -1,8 +1,8 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { albedoQuery, isTint, startAlbedo } from "../../../web/view/albedo.js";
-import { keyActions, nextStop } from "../../../web/view/keys.js";
-import { ViewModel, sliderRange } from "../../../web/view/model.js";
+import { albedoQuery, isTint, startAlbedo } from "../../../web/isogi_web/view/albedo.js";
+import { keyActions, nextStop } from "../../../web/isogi_web/view/keys.js";
+import { ViewModel, sliderRange } from "../../../web/isogi_web/view/model.js";
 import { PAINTED, SCENE } from "./fixtures.mjs";
 
 test("a view starts where the scene starts", () => {

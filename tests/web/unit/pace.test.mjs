@@ -1,8 +1,8 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { Card } from "../../../web/card/card.js";
-import { largerShare, smallerShare } from "../../../web/card/pace.js";
-import { Live } from "../../../web/live/live.js";
+import { Card } from "../../../web/isogi_web/card/card.js";
+import { largerShare, smallerShare } from "../../../web/isogi_web/card/pace.js";
+import { Live } from "../../../web/isogi_web/live/live.js";
 import { FakeClock, SCENE, knobs, settled } from "./fixtures.mjs";
 
 const SIZE = { width: 1000, height: 800 };

@@ -1,9 +1,9 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import zlib from "node:zlib";
-import { withNotes } from "../../../web/net/bytes.js";
-import { MirrorBall, ballPixels } from "../../../web/panels/light.js";
-import { emptyInWords, errorInWords, frameInWords, leftAfter, leftInWords, millisecondsInWords, niceStep, rangeInWords, shadingName, shareInWords, showNumber, timeInWords } from "../../../web/view/format.js";
+import { withNotes } from "../../../web/isogi_web/net/bytes.js";
+import { MirrorBall, ballPixels } from "../../../web/isogi_web/panels/light.js";
+import { emptyInWords, errorInWords, frameInWords, leftAfter, leftInWords, millisecondsInWords, niceStep, rangeInWords, shadingName, shareInWords, showNumber, timeInWords } from "../../../web/isogi_web/view/format.js";
 import { SCENE, facts, knobs } from "./fixtures.mjs";
 
 const SIZE = 64;

@@ -2,18 +2,18 @@
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { complaints, readAddress, writeAddress } from "../../../web/net/address.js";
-import { frameQuery } from "../../../web/net/request.js";
-import { contourOf } from "../../../web/slices/contour.js";
-import { captionOf } from "../../../web/slices/figure.js";
-import { liesOf, lineAcross, partLeft, sliceAt, slopeOf, stepped, voxelAt } from "../../../web/slices/geometry.js";
-import { draggedGreys, wheelSteps } from "../../../web/slices/gestures.js";
-import { valuesOfGreys } from "../../../web/net/bytes.js";
-import { SliceCache, pixelsOf, turned, usualGreys } from "../../../web/slices/values.js";
-import { draggedBy } from "../../../web/view/handles.js";
-import { readRows } from "../../../web/view/npy.js";
-import { ViewModel } from "../../../web/view/model.js";
-import { arePlanes, cutAt, facingPlane, movablePlanes, moved, nearestAxis, outlineOf, partPlanes, planeOf, planesOf, readPlanes, termOf, writePlanes } from "../../../web/view/planes.js";
+import { complaints, readAddress, writeAddress } from "../../../web/isogi_web/net/address.js";
+import { frameQuery } from "../../../web/isogi_web/net/request.js";
+import { contourOf } from "../../../web/isogi_web/slices/contour.js";
+import { captionOf } from "../../../web/isogi_web/slices/figure.js";
+import { liesOf, lineAcross, partLeft, sliceAt, slopeOf, stepped, voxelAt } from "../../../web/isogi_web/slices/geometry.js";
+import { draggedGreys, wheelSteps } from "../../../web/isogi_web/slices/gestures.js";
+import { valuesOfGreys } from "../../../web/isogi_web/net/bytes.js";
+import { SliceCache, pixelsOf, turned, usualGreys } from "../../../web/isogi_web/slices/values.js";
+import { draggedBy } from "../../../web/isogi_web/view/handles.js";
+import { readRows } from "../../../web/isogi_web/view/npy.js";
+import { ViewModel } from "../../../web/isogi_web/view/model.js";
+import { arePlanes, cutAt, facingPlane, movablePlanes, moved, nearestAxis, outlineOf, partPlanes, planeOf, planesOf, readPlanes, termOf, writePlanes } from "../../../web/isogi_web/view/planes.js";
 import { SCENE, knobs } from "./fixtures.mjs";
 
 const { bounds } = SCENE.volume;

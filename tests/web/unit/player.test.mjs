@@ -1,7 +1,7 @@
 import assert from "node:assert/strict";
 import { beforeEach, test } from "node:test";
-import { Shown } from "../../../web/net/shown.js";
-import { Player } from "../../../web/live/player.js";
+import { Shown } from "../../../web/isogi_web/net/shown.js";
+import { Player } from "../../../web/isogi_web/live/player.js";
 import { FakeClock, knobs } from "./fixtures.mjs";
 
 const STEPS = 3;

@@ -1,9 +1,9 @@
 import assert from "node:assert/strict";
 import { beforeEach, test } from "node:test";
-import { FrameLoop } from "../../../web/net/loop.js";
-import { Polling, refinementPause, untilFinal } from "../../../web/net/polling.js";
-import { Streaming } from "../../../web/net/streaming.js";
-import { Trouble, lost, troubleOf } from "../../../web/net/trouble.js";
+import { FrameLoop } from "../../../web/isogi_web/net/loop.js";
+import { Polling, refinementPause, untilFinal } from "../../../web/isogi_web/net/polling.js";
+import { Streaming } from "../../../web/isogi_web/net/streaming.js";
+import { Trouble, lost, troubleOf } from "../../../web/isogi_web/net/trouble.js";
 import { FakeClock, facts, settled } from "./fixtures.mjs";
 
 const PICTURE = new Blob(["a picture"]);

@@ -1,12 +1,12 @@
 import assert from "node:assert/strict";
 import { execFileSync } from "node:child_process";
 import { test } from "node:test";
-import { complaints, readAddress, writeAddress } from "../../../web/net/address.js";
-import { deleteUpload, frameAddress, readFrame, readScene, readSurfacePoint, surfacePoint, wantsToken } from "../../../web/net/api.js";
-import { changedParameters, curlLine, describe, fileName, nameOfFiles, frameQuery, pointQuery, pythonLine, sceneText } from "../../../web/net/request.js";
-import { parsePairs, parseTiming, readFacts, streamedFrame } from "../../../web/net/schemas.js";
-import { Trouble, retryDelay, troubleOf } from "../../../web/net/trouble.js";
-import { ViewModel } from "../../../web/view/model.js";
+import { complaints, readAddress, writeAddress } from "../../../web/isogi_web/net/address.js";
+import { deleteUpload, frameAddress, readFrame, readScene, readSurfacePoint, surfacePoint, wantsToken } from "../../../web/isogi_web/net/api.js";
+import { changedParameters, curlLine, describe, fileName, nameOfFiles, frameQuery, pointQuery, pythonLine, sceneText } from "../../../web/isogi_web/net/request.js";
+import { parsePairs, parseTiming, readFacts, streamedFrame } from "../../../web/isogi_web/net/schemas.js";
+import { Trouble, retryDelay, troubleOf } from "../../../web/isogi_web/net/trouble.js";
+import { ViewModel } from "../../../web/isogi_web/view/model.js";
 import { PAINTED, POLISHED, SCENE, knobs } from "./fixtures.mjs";
 
 globalThis.document = { baseURI: "http://host/behind/a/prefix/" };

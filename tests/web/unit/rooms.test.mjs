@@ -2,7 +2,7 @@ import assert from "node:assert/strict";
 import { readFileSync, readdirSync } from "node:fs";
 import { test } from "node:test";
 
-const WEB = new URL("../../../web/", import.meta.url);
+const WEB = new URL("../../../web/isogi_web/", import.meta.url);
 const LOWER = { view: ["view"], card: ["card"], net: ["net", "view"], panels: ["panels", "net", "view"], slices: ["slices", "view"], live: ["live", "card", "net", "view"], published: ["published", "live", "panels", "card", "net", "view"], notebook: ["notebook", "live", "card", "net", "view"] };
 const modules = readdirSync(WEB, { recursive: true }).filter((file) => file.endsWith(".js"));
 const textOf = (file) => readFileSync(new URL(file, WEB), "utf8");

@@ -1,6 +1,6 @@
 import assert from "node:assert/strict";
 import { beforeEach, test } from "node:test";
-import { Shown } from "../../../web/net/shown.js";
+import { Shown } from "../../../web/isogi_web/net/shown.js";
 import { FakeClock, facts, knobs } from "./fixtures.mjs";
 
 const [A, B] = [knobs({ azimuth: 10 }), knobs({ azimuth: 20 })];

@@ -1,12 +1,12 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { readAddress, writeAddress, complaints } from "../../../web/net/address.js";
-import { frameQuery } from "../../../web/net/request.js";
-import { ViewModel } from "../../../web/view/model.js";
-import { exportQuery } from "../../../web/net/export.js";
-import { numberRange } from "../../../web/panels/cuts.js";
-import { absorbedShares, areHidden, areSurfaces, isMaterial, readHidden, readMaterial, readSurfaces, tintOf, writeHidden, writeMaterial, writeSurfaces } from "../../../web/view/surfaces.js";
+import { readAddress, writeAddress, complaints } from "../../../web/isogi_web/net/address.js";
+import { frameQuery } from "../../../web/isogi_web/net/request.js";
+import { ViewModel } from "../../../web/isogi_web/view/model.js";
+import { exportQuery } from "../../../web/isogi_web/net/export.js";
+import { numberRange } from "../../../web/isogi_web/panels/cuts.js";
+import { absorbedShares, areHidden, areSurfaces, isMaterial, readHidden, readMaterial, readSurfaces, tintOf, writeHidden, writeMaterial, writeSurfaces } from "../../../web/isogi_web/view/surfaces.js";
 import { PAINTED, SCENE } from "./fixtures.mjs";
 
 const surfaces = [{ name: "skin", isovalue: 64, albedo: [0.6, 0.6, 0.6], clear: 0.3 }, { name: "", isovalue: 90, albedo: [0.7, 0.7, 0.7], clear: 0 }];

@@ -4,7 +4,7 @@ import { mkdtempSync, rmSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { test } from "node:test";
-import { zipOf } from "../../../web/net/bytes.js";
+import { zipOf } from "../../../web/isogi_web/net/bytes.js";
 
 test("files become a ZIP file that others read", async () => {
   const folder = mkdtempSync(join(tmpdir(), "zip-"));

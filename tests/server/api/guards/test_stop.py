@@ -14,10 +14,10 @@ from pathlib import Path
 import httpx
 import psutil
 import pytest
+from isogi_worker.fork_server import WORKER_PROCESS_NAME
 
 from tests.cluster.processes import free_port
 from tests.server.sockets import wait_for
-from worker.fork_server import WORKER_PROCESS_NAME
 
 ROOT = Path(__file__).resolve().parents[4]
 CLIENTS = 6
@@ -30,7 +30,7 @@ def serving(small_scene: Path, tmp_path: Path) -> Iterator[tuple[subprocess.Pope
     command = [
         sys.executable,
         "-m",
-        "server",
+        "isogi_server",
         "serve",
         str(small_scene),
         "--port",
@@ -95,7 +95,7 @@ def test_a_stop_during_the_start_is_one_line(
     behind.
     """
     port = free_port()
-    command = [sys.executable, "-m", "server", "serve", str(small_scene), "--port", str(port)]
+    command = [sys.executable, "-m", "isogi_server", "serve", str(small_scene), "--port", str(port)]
     command += ["--workers", "1", "--store", str(tmp_path / "light"), "--uploads-mb", "0"]
     environment = dict(os.environ)
     if not compiled:
@@ -122,7 +122,7 @@ def test_a_stop_before_the_socket_is_there_is_one_line(
     small_scene: Path, tmp_path: Path, number: signal.Signals
 ) -> None:
     """The fork server starts first; modules, the scene and its volume are loaded after it."""
-    command = [sys.executable, "-m", "server", "serve", str(small_scene), "--port", "0"]
+    command = [sys.executable, "-m", "isogi_server", "serve", str(small_scene), "--port", "0"]
     command += ["--workers", "1", "--store", str(tmp_path / "light"), "--uploads-mb", "0"]
     # The name of a socket may be no longer than some hundred bytes, so the folder is a short one.
     with (

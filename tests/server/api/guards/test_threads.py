@@ -20,7 +20,7 @@ MOST_THREADS = 64
 def test_cuts_over_an_object_store_share_their_threads(small_scene: Path, s3: S3Server) -> None:
     """Each cut is a scene with layers of its own, and its slider moves."""
     (low, *_), (high, *_) = load_scene(small_scene).volume.world_bounds
-    command = [sys.executable, "-m", "server", "serve", str(small_scene), "--port", "0"]
+    command = [sys.executable, "-m", "isogi_server", "serve", str(small_scene), "--port", "0"]
     command += ["--workers", "1", "--store", s3.url]
     with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout

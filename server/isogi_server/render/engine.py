@@ -1,0 +1,660 @@
+"""The render engine: loads scenes, draws frames of them, and has workers bake the light that
+frames lack.
+"""
+
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import partial
+
+from isogi_worker.bake_requests import GUEST_VIEWER, Viewer
+from isogi_worker.baker import Baker, Listener
+from isogi_worker.progress import (
+    ASSUMED_WORK_RATIOS,
+    UNREHEARSED_SPREAD,
+    Promises,
+    TimeEstimator,
+    TimeLeft,
+    log_normal_ratios,
+)
+
+from isogi_core.bake.bake_spec import SPECS, spec_name
+from isogi_core.bake.noise import Goal
+from isogi_core.bake.texel_light import FIRST_LEVEL
+from isogi_core.cache.chunk_store import default_store
+from isogi_core.cache.costs import Cost
+from isogi_core.errors import StoreFullError, StoreReadOnlyError
+from isogi_core.frame.frame import Frame
+from isogi_core.frame.gbuffer import surface_key
+from isogi_core.frame.rays.picture_plan import AWAITED, HEAVIER, Prices
+from isogi_core.frame.renderer import Renderer, unlit_frame
+from isogi_core.frame.texel_reading import Stage
+from isogi_core.frame.tiles import Stopwatch, Tiles
+from isogi_core.frame.view_checks import PathsLeft, ViewChecks
+from isogi_core.model.view import View
+from isogi_core.model.volume import Isovalue
+from isogi_core.plan.scene import Scene
+from isogi_core.prepared.prepared_scene import Index
+from isogi_core.prepared.shared_scenes import SharedScenes
+from isogi_core.storage.backend import StoreUrl
+from isogi_core.storage.store import Store, StoreLike
+from isogi_server.errors import UnknownSceneError
+from isogi_server.render.bakes import (
+    BACKGROUND_VIEWER,
+    BackgroundBake,
+    SideBakes,
+    bake_name,
+    make_bake,
+    share_by_store,
+)
+from isogi_server.render.engine_workers import EngineWorkers, scheduler_of
+from isogi_server.render.loaded_scene import LoadedScene, LoadedScenes, load_scene_parts, shared
+from isogi_server.render.picture_checks import CHECK, LIGHT_PATIENCE_SECONDS, PictureChecks
+from isogi_server.render.scene_kernels import SceneKernels
+from isogi_server.render.scene_variant import SceneVariant
+from isogi_server.render.stores import root_of, whereabouts
+from isogi_server.settings import Settings
+
+NOTHING_LEFT = PathsLeft()
+
+
+@dataclass(frozen=True, eq=False)
+class Unfinished:
+    """The parts that a picture lacks until it is final, without the picture itself, which takes
+    megabytes.
+
+    - ``scene``, ``view``, ``max_error``: of the request.
+    - ``target``: relative error that the picture is to reach.
+    - ``final``, ``refinable``: as the frame says.
+    - ``seconds``: time that drawing it took, by stage.
+    - ``bake``, ``chunks``: light that it needs next.
+    - ``later``: stages after that.
+    - ``read``: chunks that its texels read; None if it reads none.
+    - ``fineness``: steps by which its texels are finer.
+    - ``foreseen``: paths that its pixels are expected to take, until it is measured.
+    """
+
+    scene: str
+    view: View
+    max_error: float | None
+    target: float
+    final: bool
+    refinable: bool
+    seconds: Mapping[str, float]
+    bake: str = ""
+    chunks: tuple[Index, ...] = ()
+    later: tuple[Stage, ...] = ()
+    read: tuple[Index, ...] | None = None
+    fineness: int = 0
+    foreseen: PathsLeft = NOTHING_LEFT
+
+
+WAITING_STAGES = ("queue", "bake", "check", "demand")
+"""Stages of a frame that are not drawing."""
+
+
+def time_of_paths(
+    left: PathsLeft, spent: Cost, threads: int, drawing: Mapping[str, float]
+) -> TimeLeft:
+    """Estimate the time for the paths that are ``left`` on this number of ``threads``, and for
+    drawing the picture meanwhile.
+
+    ``spent`` is the cost of the texels' paths so far; ``drawing`` the seconds of each stage of the
+    last frame. If no path of a pixel has been timed yet, it is assumed to take the time of a
+    texel's path divided by HEAVIER, and the estimate is less certain.
+    """
+    # Costs are seconds of one processor; a pixel's pace was measured with all threads at work.
+    each = spent.seconds / max(spent.paths, 1) / threads
+    once = sum(seconds for stage, seconds in drawing.items() if stage not in WAITING_STAGES)
+    work = left.texels * each + left.pixels * (left.pace or each / HEAVIER) + left.times * once
+    if left.pace is None:
+        return TimeLeft.of(work, ASSUMED_WORK_RATIOS)
+    return TimeLeft.of(work, log_normal_ratios(UNREHEARSED_SPREAD))
+
+
+REMEMBERED = 4096
+"""Variants whose changes are remembered after they were dropped, so that they can be made
+again: the ones made last.
+"""
+
+READ_ONLY = (
+    "The store at {store} can only be read: what is baked there is shown, and nothing "
+    "more is baked."
+)
+
+SCENES_MEMORY_BYTES = 1 << 30
+"""Bytes of light, views and maps that all scenes together may keep in memory."""
+
+PROJECTED_TEXEL_BYTES = 4 << 30
+"""Bytes of projected texels that a store may keep."""
+
+
+class RenderEngine:
+    """Renders frames of its ``scenes``, and has a ``baker`` bake the light that they lack. Safe
+    to use from many threads.
+    """
+
+    def __init__(
+        self,
+        scenes: Sequence[Scene],
+        store: StoreLike | None = None,
+        workers: int = 1,
+        scheduler: str | None = None,
+        memory: int = SCENES_MEMORY_BYTES,
+        baker: Baker | None = None,
+        projected: int = PROJECTED_TEXEL_BYTES,
+    ) -> None:
+        """Create an engine; nothing is loaded before ``start``.
+
+        ``store`` is a folder, a URL or an open store for the light, by default the default store.
+        Light is baked by ``workers`` processes, or by the workers of a ``scheduler``; tests may
+        give a ``baker``. ``memory`` are the bytes that all scenes may keep, ``projected`` the bytes
+        of projected texels in the store.
+        """
+        self.scenes = {scene.id: scene for scene in scenes}
+        if isinstance(store, Store):
+            self.store = store
+        else:
+            self.store = Store(whereabouts(StoreUrl.of(store or default_store())))
+        # Each scene may keep this much; LoadedScenes drops scenes if all together keep more.
+        self._memory = shared(memory)
+        self._loaded = LoadedScenes(self._load, memory)
+        self._bakes: dict[str, str] = {}
+        self._variants: OrderedDict[str, SceneVariant] = OrderedDict()
+        self._changing = threading.RLock()
+        self._tiles = Tiles()
+        self.baker = baker or Baker(workers=None if scheduler else workers)
+        self.workers = EngineWorkers(self.baker, self.store.url, workers, scheduler)
+        # Workers of this machine open shared memory; those of a cluster read copies in the store.
+        if self.workers.joins:
+            self._share = share_by_store(self.store)
+        else:
+            self._share = SharedScenes().share
+        self._side_bakes = SideBakes(self.baker, self.store, projected)
+        self._checks = PictureChecks(self.check, self._checked)
+        # Checks of pictures have separate threads, so that frames do not queue behind them.
+        self._checking = Tiles()
+        self._promises = Promises()
+        self._estimator = TimeEstimator()
+        self._estimating = threading.Lock()
+        self._listeners: list[Listener] = []
+        self.again: Callable[[str], Scene | None] = lambda _: None
+        self._stopped = threading.Event()
+        self.kernels = SceneKernels(lambda: list(self.scenes.values()), self._stopped)
+
+    def start(self, with_workers: bool = True) -> None:
+        """Call ``open`` and then ``light``. Raises StoreError."""
+        self.open(with_workers)
+        self.light(with_workers)
+
+    def open(self, with_workers: bool = True) -> None:
+        """Open the store and load the scenes, so that pictures without light can be drawn. Raises
+        StoreError.
+
+        If ``with_workers``, the workers start meanwhile, or in ``light`` if kernels are still to be
+        compiled. Without workers nothing is baked.
+        """
+        self.workers.after_kernels = self.kernels.progress is not None
+        if with_workers and not self.workers.after_kernels:
+            self.start_workers()
+        self.kernels.first()
+        if self._stopped.is_set():
+            return
+        # A store that is only read, or full, is found out now; its light is shown all the same.
+        with suppress(StoreReadOnlyError, StoreFullError):
+            self.store.check_writable()
+        for scene in list(self.scenes.values()):
+            self._loaded.at(scene)
+        threading.Thread(
+            target=self._loaded.tidy, args=[self._stopped], name="tidying", daemon=True
+        ).start()
+
+    def light(self, with_workers: bool = True) -> None:
+        """Wait until the kernels of lit pictures and of bakes are compiled, and load the
+        former; then start the workers if ``with_workers``.
+        """
+        self.kernels.light()
+        if with_workers and not self._stopped.is_set():
+            self.start_workers()
+
+    def stop(self) -> None:
+        """Have ``start`` return early if it runs in another thread; the engine cannot be used
+        then.
+        """
+        self._stopped.set()
+
+    def start_workers(self) -> None:
+        """Start the workers in a thread, unless that was done before."""
+        self.workers.start(self.kernels.kinds)
+
+    def admit(self, scene: Scene, variant: SceneVariant | None = None) -> None:
+        """Add a scene, or a ``variant`` of one, to a started engine. It is loaded when a frame
+        of it is first drawn.
+        """
+        self.kernels.admit(scene)
+        with self._changing:
+            if variant is not None:
+                self._variants[scene.id] = variant
+                self._variants.move_to_end(scene.id)
+            # Forget the variants that were made longest ago. Assign a new dict, as other threads
+            # may iterate over the former one.
+            while len(self._variants) > REMEMBERED:
+                self._variants.popitem(last=False)
+            self.scenes = {**self.scenes, scene.id: scene}
+
+    def variant(self, scene: str) -> SceneVariant:
+        """Return the variant that a scene is; one without changes if it is none."""
+        return self._variants.get(scene) or SceneVariant(scene)
+
+    @property
+    def own_scenes(self) -> list[Scene]:
+        """Return the scenes that are not variants."""
+        return [each for each in self.scenes.values() if each.id not in self._variants]
+
+    def planned(self, scene: str) -> Scene:
+        """Return a scene, loaded if need be, with the plan of the light that its store has.
+        Raises StoreError and UnknownSceneError.
+        """
+        return self._find(scene).scene
+
+    def dismiss(self, scene: str) -> None:
+        """Remove a scene and its variants: nothing more of them is baked. Frames that are being
+        drawn are completed.
+
+        Their light remains in the store.
+        """
+        variants = [name for name in self.scenes if self.variant(name).base == scene]
+        for each in dict.fromkeys([scene, *variants]):
+            self._dismiss(each)
+
+    def _dismiss(self, scene: str) -> None:
+        """Remove one scene, its bakes and its place in memory."""
+        with self._changing:
+            self.scenes = {name: each for name, each in self.scenes.items() if name != scene}
+            known = [
+                bake for spec in SPECS if self._bakes.pop(bake := bake_name(scene, spec), None)
+            ]
+        for bake in known:
+            self.baker.forget(bake)
+        self._side_bakes.forget(scene)
+        self._loaded.drop(scene)
+
+    def frame(
+        self,
+        scene: str,
+        view: View,
+        *,
+        max_error: float | None = None,
+        wait: float = 0.0,
+        cancelled: threading.Event | None = None,
+        watch: Stopwatch | None = None,
+    ) -> Frame:
+        """Return the frame of a view. If it is not final, have light baked and pictures checked for
+        at most ``wait`` seconds.
+
+        ``max_error`` is the relative error at which the frame is final, by default the scene's
+        target. ``watch`` measures the time of all stages. Raises ViewError, StoreError, and
+        Cancelled once ``cancelled`` is set.
+        """
+        watch = watch or Stopwatch()
+        deadline = time.monotonic() + wait
+        target = max_error or self._find(scene).scene.target_error
+        frame = self.survey(scene, view, target, cancelled, watch)
+        # Improve the frame and draw it again, until nothing more is coming or the time is up.
+        while frame.checkable or self._coming(scene, frame, target, watch):
+            if (left := deadline - time.monotonic()) <= 0.0:
+                break
+            with watch.stage("check" if frame.checkable else "bake"):
+                if frame.checkable:
+                    self.check(scene, view, target, cancelled)
+                else:
+                    bake, stage = self.lacking(scene, frame)
+                    self.baker.wait(bake, [demand.index for demand in stage.demands], left)
+            frame = self.survey(scene, view, target, cancelled, watch)
+        return frame
+
+    def survey(
+        self,
+        scene: str,
+        view: View,
+        target: float,
+        cancelled: threading.Event | None = None,
+        watch: Stopwatch | None = None,
+        enough: int = FIRST_LEVEL,
+    ) -> Frame:
+        """Return the frame of a view with the light that is baked so far, without requesting more.
+        See ``Renderer.render`` for ``enough``, a number of samples.
+
+        Raises as ``frame`` does, and UnknownSceneError if the scene was dismissed.
+        """
+        try:
+            return self._find(scene).render(view, target, cancelled, watch or Stopwatch(), enough)
+        finally:
+            # Frames grow their scene: make room afterwards, when the frame holds what it needs.
+            self._loaded.settle()
+
+    def unlit_frame(
+        self, scene: str, view: View, target: float, cancelled: threading.Event
+    ) -> Frame | None:
+        """Return the white, provisional frame of a new view that has no light yet, sooner than
+        it could be drawn; None for other views. See ``renderer.unlit_frame``.
+        """
+        return unlit_frame(self._find(scene).renderer, view, target, cancelled)
+
+    def sees(self, scene: str, view: View) -> bool:
+        """Return True if the G-buffer of a view is kept, so that its picture needs no rays."""
+        loaded = self._loaded.held(scene)
+        return loaded is not None and loaded.renderer.sees(view)
+
+    def check(
+        self,
+        scene: str,
+        view: View,
+        target: float,
+        cancelled: threading.Event | None = None,
+        prices: Prices = AWAITED,
+        over: threading.Event | None = None,
+    ) -> bool:
+        """Take one step of the check of a picture; return False if there was none to take.
+        ``prices`` weigh the costs of possible steps.
+
+        Raises as ``frame`` does, and Cancelled also if ``over`` is set.
+        """
+        tiles = self._checking
+        for event in filter(None, (cancelled, over)):
+            tiles = tiles.cancelled_by(event)
+        return self._find(scene).check(view, target, tiles, prices)
+
+    def want(self, scene: str, frame: Frame, target: float, viewer: Viewer) -> frozenset[Index]:
+        """Request the light that a ``frame`` lacks for a ``viewer``; return the chunks that will be
+        baked.
+
+        If the frame lacks no texels, its picture is checked instead. If only its walls lag, they
+        are lit while texels are baked. CHECK stands for either in the returned set.
+        """
+        checking = frozenset({CHECK} if frame.refinable else ())
+        if checking:
+            # A picture with a part of its light is measured only if the rest takes its time.
+            waits = frame.unmeasured and not self.store.only_read()
+            delay = LIGHT_PATIENCE_SECONDS if waits else 0.0
+            self._checks.request(scene, frame.view, target, viewer, delay)
+        else:
+            self._checks.leave(viewer)
+        # A picture that is checked needs no texels now, and a store that is only read takes none.
+        if frame.checkable or self.store.only_read():
+            return checking
+        self._find(scene)
+        bake, stage = self.lacking(scene, frame)
+        return checking | self.baker.request(
+            bake, stage.demands, stage.goal.error, viewer, stage.goal.samples
+        )
+
+    def lacking(self, scene: str, frame: Frame) -> tuple[str, Stage]:
+        """Return the bake that a ``frame`` needs light of next, and the stage of it: see
+        ``Frame.stages``.
+
+        If a frame with finer texels is coming in its place, that one's needs count. The stage is
+        empty for a path-traced frame, which needs no texels.
+        """
+        frame = frame.quality.finer or frame
+        stage = next(iter(frame.stages), Stage((), Goal(self.planned(scene).target_error)))
+        spec = spec_name(frame.view.shading)
+        return self.bake_at(scene, spec, stage, frame.quality.fineness), stage
+
+    def bake_at(self, scene: str, spec: str, stage: Stage, fineness: int = 0) -> str:
+        """Return the name of the bake by a ``spec`` that a ``stage`` belongs to, with texels
+        finer by ``fineness`` steps; add the bake if it is new.
+        """
+        # Light of one side of a surface has a separate bake, and so have finer and projected
+        # texels. All other light belongs to the bake of the scene, and so does that of a scene that
+        # was dismissed: its bakes are forgotten, so nothing is baked for it.
+        if stage.caches is not None and scene in self.scenes:
+            return self._side_bakes.side(scene, spec, stage, self._share)
+        if scene not in self.scenes or (stage.shown is None and not fineness):
+            return bake_name(scene, spec)
+        loaded = self._find(scene).level(fineness)
+        arrived = partial(self._arrived, scene, fineness)
+        make = partial(make_bake, loaded.renderer.caches, "gi", loaded.assets, arrived, stage.shown)
+        return self._side_bakes.name(scene, stage.shown, fineness, make)
+
+    def unfinished(self, scene: str, frame: Frame, max_error: float | None = None) -> Unfinished:
+        """Return everything that a ``frame`` lacks to reach ``max_error``, by default the target of
+        its scene.
+        """
+        target = max_error or self._find(scene).scene.target_error
+        picture = (scene, frame.view, max_error, target)
+        lacks = Unfinished(*picture, frame.final, frame.refinable, frame.seconds)
+        if frame.final:
+            return lacks
+        bake, stage = self.lacking(scene, frame)
+        lacking = frame.quality.lacking
+        return replace(
+            lacks,
+            bake=bake,
+            chunks=tuple(demand.index for demand in stage.demands),
+            later=(frame.quality.finer or frame).stages[1:],
+            read=lacking.texels.chunks if lacking else None,
+            fineness=frame.quality.fineness,
+            foreseen=ViewChecks.foreseen(frame, target),
+        )
+
+    def waiting(self, lacks: Unfinished, viewer: Viewer) -> int:
+        """Return the number of chunks that a picture ``lacks`` and that are still to be baked;
+        renew the interest of the ``viewer`` in them.
+        """
+        return self.baker.open(lacks.bake, list(lacks.chunks), viewer)
+
+    def leave(self, viewer: Viewer) -> None:
+        """Drop the requests and the picture check of a ``viewer`` that has gone."""
+        self._checks.leave(viewer)
+        self.baker.leave(viewer)
+
+    def listen(self, listener: Listener) -> None:
+        """Call ``listener`` with the bake, the chunk and a flag for more whenever a chunk has new
+        light or its task failed; see ``bake_of``.
+
+        Projected and finer texels are reported under the bake of the scene, and the check of a
+        picture as the chunk CHECK.
+        """
+        self._listeners.append(listener)
+        self.baker.listen(
+            lambda bake, index, more: listener(self._side_bakes.scene(bake), index, more)
+        )
+
+    def time_left(
+        self, scene: str, frame: Frame, max_error: float | None = None
+    ) -> TimeLeft | None:
+        """Estimate the seconds until the view of a ``frame`` is final. None if that is unknown,
+        if nothing more is done for the view, or if there are no workers.
+        """
+        return self.time_without(self.unfinished(scene, frame, max_error))
+
+    def time_without(self, lacks: Unfinished) -> TimeLeft | None:
+        """Estimate the seconds until a picture has all that it ``lacks``; None as ``time_left``."""
+        picture = (lacks.scene, lacks.view, lacks.max_error)
+        if lacks.final:
+            with self._estimating:
+                self._estimator.end(picture, time.monotonic())
+            return TimeLeft(0.0, 0.0, 0.0)
+        # Texels are baked first, by the workers; after them paths of control pixels and of pixels'
+        # light are traced in this process.
+        if not (lacks.chunks or lacks.refinable):
+            return None
+        # Texels of this stage and of all later ones.
+        subject = (lacks.scene, surface_key(lacks.view), lacks.target)
+        baking = self.baker.time_left(lacks.bake, subject, list(lacks.chunks), lacks.later)
+        if baking is None:
+            return None
+        # Paths from pixels, and drawing the picture meanwhile.
+        checks = self._find(lacks.scene).level(lacks.fineness).renderer.checks
+        left = checks.known_left(lacks.view, lacks.target) or lacks.foreseen
+        if lacks.read is not None:
+            spent = self.baker.spent(lacks.bake, lacks.read)
+            baking = baking.plus(time_of_paths(left, spent, self._checking.threads, lacks.seconds))
+        # Report a time that does not jump.
+        if baking.high > 0.0:
+            return self._promises.kept(picture, self._learnt(picture, baking))
+        return None
+
+    def _learnt(self, picture: Hashable, left: TimeLeft) -> TimeLeft:
+        """Correct the estimate of the time ``left`` for a ``picture`` by how estimates for other
+        pictures came true.
+
+        This makes up for work that cannot be counted: the steps that a picture will take are not
+        known beforehand.
+        """
+        with self._estimating:
+            learnt = self._estimator.estimate(picture, left.likely, time.monotonic())
+        if left.likely > 0.0:
+            return left.scaled_to(learnt.likely)
+        return left
+
+    def bake(self, bake: str, stage: Stage, viewer: Viewer = BACKGROUND_VIEWER) -> BackgroundBake:
+        """Have the light that a ``stage`` demands of a ``bake`` baked for a ``viewer``; nothing
+        is demanded if the store is only read.
+        """
+        if self.store.only_read():
+            wanted = replace(stage, demands=())
+        else:
+            wanted = stage
+        return BackgroundBake(self.baker, bake, wanted, viewer)
+
+    def renderer(self, scene: str, fineness: int = 0) -> Renderer:
+        """Return the renderer of a scene with texels finer by ``fineness`` steps, loaded if
+        need be. Raises UnknownSceneError if the scene was dismissed.
+        """
+        return self._find(scene).level(fineness).renderer
+
+    def bake_of(self, scene: str, view: View) -> str:
+        """Return the name of the bake that a view of a scene reads."""
+        return bake_name(scene, spec_name(view.shading))
+
+    def trouble(self) -> str:
+        """Return the reason why light will not be baked: the store is only read, there are no
+        workers, or a chunk was given up. Empty if all is well.
+        """
+        if self.store.read_only:
+            return READ_ONLY.format(store=self.store.url)
+        return self.workers.missing or self.baker.trouble()
+
+    def unready(self) -> list[str]:
+        """Return the reasons why frames would not become final: none if all is well, or if the
+        store is only read on purpose.
+        """
+        if self.store.read_only:
+            return []
+        why = self.trouble() or self.baker.paused() or self.workers.trouble
+        return [why] if why else []
+
+    def notes(self) -> list[str]:
+        """Return sentences for a person that are no trouble: kernels are being compiled, or the
+        store is only read.
+        """
+        only_read = self.trouble() if self.store.read_only else ""
+        return [note for note in (self.kernels.compiling, only_read) if note]
+
+    def close(self) -> None:
+        """Stop checks, baking and workers, and drop all scenes. Chunks that were being baked
+        are baked again when they are next wanted.
+        """
+        self._stopped.set()
+        self._checks.close()
+        self.baker.stop()
+        self.workers.close()
+        self._loaded.close()
+        self._tiles.close()
+        self._checking.close()
+
+    def _checked(self, scene: str, view: View, more: bool) -> None:
+        """Tell listeners that a picture was checked one step further. If the check is over,
+        trim the store, as light of walls is kept for each isovalue.
+        """
+        named = self.scenes.get(scene)
+        if not more and named is not None and named.lighting.room.any:
+            self._side_bakes.lit(scene, view.isovalue)
+        for listener in self._listeners:
+            listener(self.bake_of(scene, view), CHECK, more)
+
+    def _coming(self, scene: str, frame: Frame, target: float, watch: Stopwatch) -> bool:
+        """Request the light that a frame lacks; return True if any of it will be baked."""
+        with watch.stage("demand"):
+            return bool(
+                self.lacking(scene, frame)[1].demands
+                and self.want(scene, frame, target, GUEST_VIEWER) - {CHECK}
+            )
+
+    def _find(self, scene: str) -> LoadedScene:
+        """Return a scene, loaded if need be; a variant that was dropped is made again. Raises
+        StoreError and UnknownSceneError.
+        """
+        named = self.scenes.get(scene) or self.again(scene)
+        if named is not None:
+            loaded = self._loaded.at(named)
+            if scene not in self.scenes:
+                self._loaded.drop(scene)
+            # A variant that was dismissed meanwhile is drawn to its end, if its scene is there.
+            if self.variant(scene).base in self.scenes:
+                return loaded
+        raise UnknownSceneError(f"The scene '{self.variant(scene).base}' is not shown any more.")
+
+    def _load(self, scene: Scene) -> LoadedScene:
+        """Load a scene and add its bakes to the baker. Raises StoreError."""
+        # Share maps with a loaded scene of the same volume.
+        same_volume = [name for name, each in self.scenes.items() if each.volume is scene.volume]
+        sibling = next(filter(None, map(self._loaded.held, same_volume)), None)
+        # Until a variant has light, that of the scene which it was cut from stands in, or that of a
+        # similar variant.
+        variant = self.variant(scene.id)
+        stand_ins = [name for name in self.scenes if self.variant(name).may_stand_in_for(variant)]
+        if variant.cut is not None:
+            whole = self._loaded.held(variant.whole.id)
+        else:
+            whole = self._loaded.latest(stand_ins)
+        loaded = load_scene_parts(
+            scene,
+            self.store,
+            self._tiles,
+            self._memory,
+            share=self._share,
+            sibling=sibling,
+            whole=whole,
+        )
+        # Replace the bakes of this scene that have changed, and keep the others with their queues.
+        # ``scenes`` is replaced, not changed, as other threads may iterate over it.
+        make = partial(make_bake, loaded.renderer.caches, assets=loaded.assets, whole=loaded.whole)
+        arrived = partial(self._arrived, scene.id, 0)
+        bakes = [(bake_name(scene.id, spec), make(spec, arrived=arrived)) for spec in SPECS]
+        with self._changing:
+            if scene.id in self.scenes:
+                new = {name: bake for name, bake in bakes if self._bakes.get(name) != bake.digest}
+                self._bakes |= {name: bake.digest for name, bake in new.items()}
+                for name, bake in new.items():
+                    self.baker.add(name, bake)
+                if bake_name(scene.id, "gi") in new:
+                    self.baker.prepare(bake_name(scene.id, "gi"))
+                self.scenes = {**self.scenes, scene.id: loaded.scene}
+        return loaded
+
+    def _arrived(
+        self, scene: str, fineness: int, spec: str, index: Index, shown: Isovalue | None
+    ) -> None:
+        """Have a loaded scene read a chunk of its texels again: it has new light."""
+        loaded = self._loaded.held(scene)
+        level = None if loaded is None else loaded.held(fineness)
+        if level is not None:
+            level.renderer.caches.refresh(spec, index, shown)
+
+
+def engine_for(scene: Scene, settings: Settings, with_workers: bool = True) -> RenderEngine:
+    """Make an engine for a ``scene`` by a command's ``settings``. It joins the scheduler of the
+    settings only if ``with_workers``.
+    """
+    scheduler = scheduler_of(settings) if with_workers else None
+    memory = settings.memory_mb << 20
+    projected = settings.projected_mb << 20
+    return RenderEngine(
+        [scene], root_of(settings), settings.workers, scheduler, memory, projected=projected
+    )

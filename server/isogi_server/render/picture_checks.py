@@ -1,0 +1,147 @@
+"""Checks of pictures: steps that measure and refine pictures that lack no texels, on one thread."""
+
+import logging
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from isogi_worker.bake_requests import Viewer
+
+from isogi_core.errors import IsogiError
+from isogi_core.model.view import View
+from isogi_core.prepared.prepared_scene import Index
+
+log = logging.getLogger("isogi.render")
+
+CHECK: Index = (-1, -1, -1)
+"""Stands for the check of a picture among the chunks that will have updates."""
+
+MAX_WAITING_PICTURES = 64
+"""Pictures that wait for their check at most. If there are more, the oldest request is dropped."""
+
+LIGHT_PATIENCE_SECONDS = 2.0
+"""Time for which a picture with a part of its light waits for the rest before control pixels
+measure it as it is: their paths would take processors from workers, and delay the whole picture.
+"""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A view of a scene whose total error is to reach a ``target``. ``cancelled`` is set once
+    no viewer wants it. Steps are taken from the time ``due`` on, in seconds of the steady clock.
+    """
+
+    scene: str
+    view: View
+    target: float
+    cancelled: threading.Event = field(default_factory=threading.Event, compare=False)
+    due: float = field(default=0.0, compare=False)
+
+
+Step = Callable[[str, View, float, threading.Event], bool]
+Listener = Callable[[str, View, bool], object]
+
+
+class PictureChecks:
+    """Checks pictures step by step on one thread, the one requested last first. Safe to use
+    from many threads.
+    """
+
+    def __init__(self, step: Step, notify: Listener) -> None:
+        """Set the functions of a check.
+
+        ``step`` takes one step of a picture's check and returns True if there may be more.
+        ``notify`` is called after each step with the scene, the view, and that answer.
+        """
+        self._step = step
+        self._notify = notify
+        self._wanted: OrderedDict[Viewer, Picture] = OrderedDict()
+        self._changed = threading.Condition()
+        self._closed = False
+        self._thread: threading.Thread | None = None
+
+    def request(
+        self, scene: str, view: View, target: float, viewer: Viewer, delay: float = 0.0
+    ) -> None:
+        """Have a picture checked for a ``viewer`` after ``delay`` seconds, in place of the picture
+        that it looked at before. Asked for again, a picture keeps the earlier time.
+        """
+        with self._changed:
+            picture = Picture(scene, view, target, due=time.monotonic() + delay)
+            former = self._wanted.get(viewer)
+            if self._closed or (former and former == picture and former.due <= picture.due):
+                return
+            self._drop(viewer)
+            self._wanted[viewer] = picture
+            if len(self._wanted) > MAX_WAITING_PICTURES:
+                self._drop(next(iter(self._wanted)))
+            # The thread starts with the first picture, as many engines check none.
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._work, name="checking", daemon=True)
+                self._thread.start()
+            self._changed.notify()
+
+    def leave(self, viewer: Viewer) -> None:
+        """Check nothing more for a viewer that has gone or looks at another picture."""
+        with self._changed:
+            self._drop(viewer)
+
+    def close(self) -> None:
+        """Cancel all checks, and return when the thread has ended."""
+        with self._changed:
+            self._closed = True
+            for viewer in list(self._wanted):
+                self._drop(viewer)
+            self._changed.notify()
+        if self._thread is not None:
+            self._thread.join()
+
+    def _drop(self, viewer: Viewer) -> None:
+        """Forget a viewer's picture, and cancel its step if one is running."""
+        if (former := self._wanted.pop(viewer, None)) is not None:
+            former.cancelled.set()
+
+    def _work(self) -> None:
+        """Take steps of the pictures that are wanted, until closed."""
+        while (found := self._next()) is not None:
+            viewer, picture = found
+            try:
+                more = self._step(picture.scene, picture.view, picture.target, picture.cancelled)
+            except IsogiError as error:
+                log.debug("a picture is not checked: %s", error)
+                more = False
+            except Exception:
+                # An unexpected error ends the check of this picture only.
+                log.exception(
+                    "The check of a picture failed: it keeps the error that it has, others are "
+                    "checked."
+                )
+                more = False
+            if not more:
+                self._done(viewer, picture)
+            self._notify(picture.scene, picture.view, more)
+
+    def _next(self) -> tuple[Viewer, Picture] | None:
+        """Return the newest picture that is wanted and due, with its viewer, once there is one;
+        None if closed.
+        """
+        with self._changed:
+            while not self._closed:
+                now = time.monotonic()
+                for viewer, picture in reversed(self._wanted.items()):
+                    if picture.due <= now:
+                        return viewer, picture
+                # Sleep until the next picture is due, or until others are asked for.
+                waits = [picture.due - now for picture in self._wanted.values()]
+                self._changed.wait(min(waits, default=None))
+            return None
+
+    def _done(self, viewer: Viewer, picture: Picture) -> None:
+        """Forget a picture that needs no further step, unless its viewer has asked for another
+        one meanwhile.
+        """
+        with self._changed:
+            if self._wanted.get(viewer) is picture:
+                self._drop(viewer)

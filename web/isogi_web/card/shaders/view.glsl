@@ -1,0 +1,58 @@
+// The light at a place of the picture: a ray from the camera, the surface that it hits, and the
+// light that leaves the surface. Kernel: isogi_core/kernels/tracing/camera.py; rays:
+// web/isogi_web/card/rays.js.
+#include "intersect.glsl"
+#include "field.glsl"
+#include "sight.glsl"
+#include "colours.glsl"
+#include "launch.glsl"
+#if SHADING == 1
+#include "irradiance_ratio.glsl"
+#include "lobes.glsl"
+#else
+#include "local_models.glsl"
+uniform vec3 albedo; // Albedo that is shown, relative to that of the document.
+#endif
+// Origins of rays, on a plane in front of the box: affine over the picture.
+uniform vec3 start, startRight, startDown;
+uniform vec3 corner, right, down; // Directions of rays, affine as well.
+uniform float unit; // Radiance of 1 in the light of texels.
+
+struct Seen { vec3 light, point, normal; float cover, lacking; };
+
+// Outward unit normal at p; if the field is flat there, against the ray d.
+vec3 find_normal(vec3 p, vec3 d) {
+  vec3 n = normal(p);
+  return n == vec3(0.0) ? -normalize(d * spacing) : n;
+}
+
+// Light that leaves the surface at p with normal n.
+vec3 shade(vec3 p, vec3 n, out float lacking) {
+#if SHADING == 1
+  vec3 light = texel_light(p, n, lacking);
+  if (LOBES > 0) light += lobe_light(p, n);
+  return unit * albedo * tint(p) * light;
+#else
+  lacking = 0.0;
+  return albedo * tint(p) * local_light(p, n);
+#endif
+}
+
+// Sample the picture at a place, in pixels from its upper left corner.
+Seen see(vec2 at) {
+  vec3 o = start + at.x * startRight + at.y * startDown, d = corner + at.x * right + at.y * down;
+  vec2 part = look_through(o, d);
+  Seen seen = Seen(vec3(0.0), vec3(0.0), vec3(0.0), 0.0, 0.0);
+  if (part.x > part.y) return seen;
+  // Begin at the window. If that point is solid, the ray meets a face of the window; otherwise look
+  // for the surface.
+  o += part.x * d;
+  bool opened = part.x > 0.0 && is_solid(o);
+  float t = opened ? 0.0 : cast_ray(o, d, UNKNOWN);
+  if (t < 0.0 || part.x + t > part.y) return seen;
+  seen.point = o + t * d;
+  if (!opened) seen.normal = find_normal(seen.point, d);
+  seen.light = opened ? face_tint(seen.point) * paint(seen.point) : shade(seen.point, seen.normal, seen.lacking);
+  seen.cover = 1.0;
+  return seen;
+}
