@@ -27,7 +27,7 @@ from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import Camera, Quaternion, View, quaternion_from_angles
 
-WEB = Path(__file__).resolve().parents[3] / "web"
+WEB = Path(__file__).resolve().parents[3] / "web" / "isogi_web"
 HERE = Path(__file__).resolve().parent
 CARD_FLAGS = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 SECONDS = 300

@@ -13,9 +13,8 @@ function imports(file) {
   return found.map((path) => new URL(path, new URL(file, WEB)).href.slice(WEB.href.length));
 }
 
-test("every module is found, and a room holds at most 16 files", () => {
+test("every module is found", () => {
   assert.ok(modules.length > 20);
-  for (const room of Object.keys(LOWER)) assert.ok(readdirSync(new URL(room, WEB)).length <= 16, room);
 });
 
 test("rooms import one way: published or notebook, panels, live, net, card, view; slices, view", () => {
