@@ -13,6 +13,7 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
+from isogi_server.answers import CARD_FORMAT
 from isogi_server.api.app import create_app
 from isogi_server.parameters import FrameParams, read
 from isogi_server.render.engine import RenderEngine
@@ -160,7 +161,7 @@ def test_the_document_tells_the_scenes_own_numbers(client: httpx.Client, scene: 
         True,
         [],
         "",
-        1,
+        CARD_FORMAT,
     )
     facts = found["scene"]
     volume = scene.volume
@@ -195,7 +196,10 @@ def test_the_document_is_not_sent_again(client: httpx.Client) -> None:
         tag.strip('"') == answer.json()["version"] and answer.headers["cache-control"] == "no-cache"
     )
     assert client.get(CARD, headers={"If-None-Match": tag}).status_code == 304
-    assert client.get(CARD, params={"yaw": 90}, headers={"If-None-Match": tag}).status_code == 200
+    turned = client.get(CARD, params={"yaw": 90}, headers={"If-None-Match": tag})
+    assert turned.status_code == 304, "light turns on the card"
+    other = client.get(CARD, params={"environment": "studio"}, headers={"If-None-Match": tag})
+    assert other.status_code == 200
 
 
 def test_voxels_are_those_of_the_kernels(client: httpx.Client, scene: Scene) -> None:
