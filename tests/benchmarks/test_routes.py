@@ -23,6 +23,7 @@ def test_each_route_has_its_costliest_requests(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_twelve_of_the_costliest_pictures_fit_into_memory() -> None:
     """Those that take most draw pictures, or list chunks."""
     drawn = [f"--only={path}" for path in ("/frame", "/coverage", "/events", "/card/chunks")]
