@@ -54,7 +54,7 @@ export class Bridge {
 
   /** Read a shader's file. @param {string} name @returns {Promise<string>} */
   async readShader(name) {
-    return new TextDecoder().decode(await this.#ask(`web/isogi_web/card/shaders/${name}`));
+    return new TextDecoder().decode(await this.#ask(`web/card/shaders/${name}`));
   }
 
   /**
