@@ -18,11 +18,6 @@ from pathlib import Path
 
 import click
 import numpy as np
-from isogi_server.answers import camera_schema
-from isogi_server.cli.render import render, rendered
-from isogi_server.parameters import FrameParams, read
-from isogi_server.settings import Settings
-from isogi_server.views import view_of
 from PIL import Image, ImageDraw
 
 from benchmarks.common.mitsuba import PathTracer
@@ -34,6 +29,11 @@ from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from isogi_report.speed import make_renderer
+from isogi_server.answers import camera_schema
+from isogi_server.cli.render import render, rendered
+from isogi_server.parameters import FrameParams, read
+from isogi_server.settings import Settings
+from isogi_server.views import view_of
 
 sys.path.insert(0, str(Path(__file__).parent))
 

@@ -18,12 +18,12 @@ from itertools import pairwise
 from pathlib import Path
 
 import click
-from isogi_server.settings import cores
 from PIL import Image
 from playwright.sync_api import Page, sync_playwright
 
 from benchmarks.common.serving import serving
 from benchmarks.service.browser import CHROMIUM
+from isogi_server.settings import cores
 
 WINDOW = (1080, 640)
 SHOWN = (810, 480)

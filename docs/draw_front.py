@@ -14,12 +14,12 @@ from pathlib import Path
 
 import click
 import numpy as np
-from isogi_server.cli.render import render, rendered
-from isogi_server.settings import Settings
 from PIL import Image
 
 from benchmarks.speed.vtk import use_threads
 from isogi_core.plan.assembly import load_scene
+from isogi_server.cli.render import render, rendered
+from isogi_server.settings import Settings
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))

@@ -12,13 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
-from isogi_server.cli import export as exporting
-from isogi_server.cli import publish, publish_live
-from isogi_server.cli.render import Drawn, draw, format_of, working
-from isogi_server.progress import open_scene as load
-from isogi_server.render.engine import RenderEngine
-from isogi_server.settings import Settings
-from isogi_server.views import with_first_view
 from PIL import Image
 
 from isogi_core.errors import SceneError, VolumeError
@@ -27,6 +20,13 @@ from isogi_core.files.scene_file import SceneSource, as_written, find_source
 from isogi_core.model.lights import ENVIRONMENTS
 from isogi_core.plan.scene import Scene as CoreScene
 from isogi_core.storage.atomic_file import write_whole
+from isogi_server.cli import export as exporting
+from isogi_server.cli import publish, publish_live
+from isogi_server.cli.render import Drawn, draw, format_of, working
+from isogi_server.progress import open_scene as load
+from isogi_server.render.engine import RenderEngine
+from isogi_server.settings import Settings
+from isogi_server.views import with_first_view
 
 if TYPE_CHECKING:
     from isogi.client import Isogi

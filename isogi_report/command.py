@@ -12,16 +12,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from isogi_core.errors import advice
+from isogi_core.model.view import View
+from isogi_core.plan.scene import Scene
 from isogi_server.errors import LibraryError, ParameterError
 from isogi_server.parameters import FrameParams, read
 from isogi_server.progress import open_scene
 from isogi_server.settings import Settings
 from isogi_server.values import span
 from isogi_server.views import view_of
-
-from isogi_core.errors import advice
-from isogi_core.model.view import View
-from isogi_core.plan.scene import Scene
 
 if TYPE_CHECKING:
     from isogi_report.journal import Report

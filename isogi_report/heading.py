@@ -8,13 +8,12 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from isogi_server.answers import scene_schema
-from isogi_server.inspect.text import amount, by, plan_rows, summary
-from isogi_server.schemas import SceneSchema
-
 from isogi_core.files.spelling import shortest
 from isogi_core.model.view import Camera, View
 from isogi_core.plan.scene import Scene
+from isogi_server.answers import scene_schema
+from isogi_server.inspect.text import amount, by, plan_rows, summary
+from isogi_server.schemas import SceneSchema
 
 PARALLEL_VIEW_DEGREES = 1e-3
 """Field of view, in degrees, below which rays count as parallel:

@@ -10,8 +10,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Self
 
-from isogi_server.clocks import ticking
-from isogi_server.progress import WEIGHTED_BAR_FORMAT
 from tqdm import tqdm
 
 from isogi_core.errors import Cancelled
@@ -19,6 +17,8 @@ from isogi_report import studies
 from isogi_report.bench import Bench
 from isogi_report.journal import Entry, Journal
 from isogi_report.sections import Section
+from isogi_server.clocks import ticking
+from isogi_server.progress import WEIGHTED_BAR_FORMAT
 
 log = logging.getLogger("isogi.report")
 

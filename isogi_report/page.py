@@ -13,8 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from isogi_server.inspect.picture import SCHEME
-from isogi_server.values import span
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
@@ -33,6 +31,8 @@ from isogi_report.sections import (
     text_column,
     text_columns,
 )
+from isogi_server.inspect.picture import SCHEME
+from isogi_server.values import span
 
 REPORT_FOLDER = Path(__file__).parent
 

@@ -14,7 +14,6 @@ from xml.sax.saxutils import escape
 
 import matplotlib as mpl
 import numpy as np
-from isogi_server.inspect.picture import DASHES, INK, LINE_STAND_IN, SCHEME, SOFT_STAND_IN, STYLE
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
@@ -25,6 +24,7 @@ from isogi_core.frame.film import BACKGROUND, tone_table
 from isogi_report.journal import Report
 from isogi_report.metrics import shown_as
 from isogi_report.sections import PREFIXES, Column, Curve, Picture, Plot
+from isogi_server.inspect.picture import DASHES, INK, LINE_STAND_IN, SCHEME, SOFT_STAND_IN, STYLE
 
 PLOT_WIDTH = 4.6
 PLOT_HEIGHT = 3.1

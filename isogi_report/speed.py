@@ -15,11 +15,6 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from isogi_server.parameters import FORMATS
-from isogi_server.pictures import encode
-from isogi_server.progress import open_scene
-from isogi_server.settings import cores
-from isogi_worker.pool import MAX_TASK_TEXELS
 from tqdm import tqdm
 
 from isogi_core.bake.bake_spec import SPECS, spec_for
@@ -45,6 +40,11 @@ from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index, PreparedScene
 from isogi_core.runs import Run, serially
 from isogi_report.bench import UNREACHED_TARGET
+from isogi_server.parameters import FORMATS
+from isogi_server.pictures import encode
+from isogi_server.progress import open_scene
+from isogi_server.settings import cores
+from isogi_worker.pool import MAX_TASK_TEXELS
 
 SPEED_CACHE_BYTES = 1 << 30
 """Bytes of light that a measured renderer may hold."""

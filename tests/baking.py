@@ -2,11 +2,10 @@
 noise asks.
 """
 
-from isogi_server.render.engine import RenderEngine
-
 from isogi_core.frame.frame import Frame
 from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.model.view import View
+from isogi_server.render.engine import RenderEngine
 
 LONG = 120.0
 """Seconds that no bake of these tests takes."""

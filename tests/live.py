@@ -45,7 +45,6 @@ def serving(scene: Path, store: Path, **settings: Any) -> Iterator[str]:
     from isogi_server.api.app import create_app
     from isogi_server.settings import Settings
     from isogi_worker.baker import Baker
-
     from tests.server.inline import EngineWithoutWorkers, InlinePool
 
     baker = Baker()

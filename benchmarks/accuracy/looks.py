@@ -19,8 +19,6 @@ from typing import Any
 
 import click
 import numpy as np
-from isogi_server.cli.render import awaited
-from isogi_server.render.engine import RenderEngine
 
 from benchmarks.accuracy.benches import wanted
 from benchmarks.accuracy.room import PATIENCE, edges
@@ -33,6 +31,8 @@ from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.plan.assembly import build_scene, load_scene
 from isogi_core.plan.scene import Scene
 from isogi_report.speed import view_of
+from isogi_server.cli.render import awaited
+from isogi_server.render.engine import RenderEngine
 
 DOCS = Path(__file__).parents[2] / "docs"
 

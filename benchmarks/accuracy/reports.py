@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import click
-from isogi_server.cli.arguments import duration
 
 from benchmarks.accuracy.summary import summary_of
 from benchmarks.common.measurement import Measurement
@@ -18,6 +17,7 @@ from benchmarks.common.scenes import SIX, Subject, scene_of
 from benchmarks.common.suite import part
 from isogi_report.command import DEFAULT_VIEWPOINT, ReportRequest, report_of, sentence
 from isogi_report.speed import view_of
+from isogi_server.cli.arguments import duration
 
 
 @part(size=112)

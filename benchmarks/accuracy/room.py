@@ -19,8 +19,6 @@ from typing import Any
 
 import click
 import numpy as np
-from isogi_server.cli.render import awaited
-from isogi_server.render.engine import RenderEngine
 
 from benchmarks.accuracy.benches import wanted
 from benchmarks.accuracy.mitsuba_race import INSIDE, Converged, converge
@@ -36,6 +34,8 @@ from isogi_core.model.view import View
 from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import Scene
 from isogi_report.speed import view_of
+from isogi_server.cli.render import awaited
+from isogi_server.render.engine import RenderEngine
 
 PATIENCE = 300.0
 """Seconds that a picture may take."""

@@ -28,8 +28,6 @@ from itertools import pairwise
 
 import click
 import numpy as np
-from isogi_server.cli.render import awaited
-from isogi_server.render.engine import RenderEngine
 
 from benchmarks.accuracy.benches import wanted
 from benchmarks.accuracy.room import PATIENCE, VIEWS
@@ -43,6 +41,8 @@ from isogi_core.plan.assembly import build_scene, load_scene
 from isogi_core.plan.scene import Scene
 from isogi_report.metrics import luminance_of, mean_of, spread_of
 from isogi_report.speed import view_of
+from isogi_server.cli.render import awaited
+from isogi_server.render.engine import RenderEngine
 
 SLIDES: Mapping[str, tuple[str, float, float]] = {
     "nucleon": ("nucleon_41x41x41_uint8.nhdr", 110.0, 170.0),

@@ -22,8 +22,6 @@ from typing import Any
 
 import click
 import numpy as np
-from isogi_server.cli.render import awaited
-from isogi_server.render.engine import RenderEngine
 
 from benchmarks.accuracy.benches import wanted
 from benchmarks.accuracy.kept import Kept
@@ -39,6 +37,8 @@ from isogi_core.plan.scene import Scene
 from isogi_core.storage.store import unwrap_all
 from isogi_report.command import DEFAULT_VIEWPOINT
 from isogi_report.speed import view_of
+from isogi_server.cli.render import awaited
+from isogi_server.render.engine import RenderEngine
 
 SKIN = 64
 CLEAR = (0.3, 0.6, 0.9)

@@ -23,9 +23,6 @@ from typing import Any
 
 import click
 import numpy as np
-from isogi_server.cli.setting_options import settings_from
-from isogi_server.parameters import FrameParams, read
-from isogi_server.views import view_of
 from PIL import Image
 
 from benchmarks.common.measurement import Measurement
@@ -34,6 +31,9 @@ from benchmarks.common.suite import part
 from benchmarks.speed.film import isogi
 from isogi_core.files.grid import srgb_bytes
 from isogi_core.plan.assembly import load_scene
+from isogi_server.cli.setting_options import settings_from
+from isogi_server.parameters import FrameParams, read
+from isogi_server.views import view_of
 
 VIEW = {"azimuth": "30", "elevation": "20", "distance": "3", "fov": "30"}
 KINDS = ("glb", "ply", "usdz", "vti", "zarr")

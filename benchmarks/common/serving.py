@@ -17,6 +17,7 @@ from typing import IO
 
 import httpx
 import psutil
+
 from isogi_worker.fork_server import WORKER_PROCESS_NAME
 
 MIB = 1 << 20

@@ -24,9 +24,6 @@ from typing import Any
 
 import click
 import psutil
-from isogi_server.render.engine import RenderEngine
-from isogi_worker.pool import WorkerPool, start_pool
-from isogi_worker.tasks import BakeResult, BakeTask
 
 from benchmarks.common.measurement import Measurement
 from benchmarks.common.suite import part
@@ -39,6 +36,9 @@ from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.storage.backend import StoreUrl
 from isogi_core.storage.store import Store
+from isogi_server.render.engine import RenderEngine
+from isogi_worker.pool import WorkerPool, start_pool
+from isogi_worker.tasks import BakeResult, BakeTask
 from tests.cluster.processes import cluster as running_cluster
 from tests.cluster.processes import until
 from tests.server.inline import EngineWithoutWorkers

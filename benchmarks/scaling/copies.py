@@ -9,10 +9,10 @@ from multiprocessing.connection import Connection
 from typing import Any, NamedTuple
 
 import psutil
-from isogi_worker.niceness import stand_behind, worker_niceness
-from isogi_worker.tasks import BakeTask, cost_of, open_spec, sample_texels
 
 from isogi_core.cache.chunk_record import Chunk
+from isogi_worker.niceness import stand_behind, worker_niceness
+from isogi_worker.tasks import BakeTask, cost_of, open_spec, sample_texels
 
 LONG = 600.0
 """Seconds after which something is taken to hang."""

@@ -9,6 +9,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import psutil
+
 from isogi_worker.fork_server import WORKER_PROCESS_NAME
 
 MIB = 1 << 20

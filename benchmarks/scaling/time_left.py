@@ -14,11 +14,6 @@ from dataclasses import replace
 
 import click
 import numpy as np
-from isogi_server.render.engine import RenderEngine
-from isogi_worker.baker import Baker
-from isogi_worker.pool import Done
-from isogi_worker.progress import TimeLeft
-from isogi_worker.tasks import PLAIN_LAYER_KINDS, BakeTask, bake, load_kernels
 
 from benchmarks.common.measurement import Measurement
 from benchmarks.common.scenes import benchmark_scene
@@ -26,6 +21,11 @@ from benchmarks.common.suite import part
 from isogi_core.frame.frame import Frame
 from isogi_core.model.view import View
 from isogi_report.speed import view_of
+from isogi_server.render.engine import RenderEngine
+from isogi_worker.baker import Baker
+from isogi_worker.pool import Done
+from isogi_worker.progress import TimeLeft
+from isogi_worker.tasks import PLAIN_LAYER_KINDS, BakeTask, bake, load_kernels
 
 Told = tuple[float, Frame, TimeLeft | None]
 """When, of which frame, and what."""

@@ -17,7 +17,6 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import click
-from isogi_server.settings import cores
 from playwright.sync_api import Page, sync_playwright
 
 from benchmarks.common.measurement import Measurement
@@ -25,6 +24,7 @@ from benchmarks.common.serving import serving
 from benchmarks.common.suite import part
 from benchmarks.service.browser import CHROMIUM
 from benchmarks.service.far_link import FarLink, far_link
+from isogi_server.settings import cores
 
 CARD_FLAGS = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 """Flags of Chromium: it draws WebGL by its processor."""

@@ -17,13 +17,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import click
-from isogi_server.settings import cores
 from playwright.sync_api import Page, sync_playwright
 
 from benchmarks.common.measurement import Measurement
 from benchmarks.common.serving import serving
 from benchmarks.common.suite import part
 from benchmarks.service.browser import CHROMIUM, FLAGS
+from isogi_server.settings import cores
 
 MOMENTS = (0.3, 1.0, 2.0, 5.0, 10.0, 20.0)
 """Seconds after the page was asked for at which it is pictured."""

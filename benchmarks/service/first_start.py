@@ -16,11 +16,11 @@ from pathlib import Path
 
 import click
 import httpx
-from isogi_server.settings import cores
 
 from benchmarks.common.measurement import Measurement
 from benchmarks.common.serving import Served, serving
 from benchmarks.common.suite import part
+from isogi_server.settings import cores
 
 LOOK = 0.1
 """Seconds between two looks at how far a server is."""

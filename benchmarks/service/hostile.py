@@ -9,9 +9,8 @@ import sys
 from collections import Counter
 from pathlib import Path
 
-from isogi_server.parameters import FrameParams
-
 from benchmarks.common.serving import Served
+from isogi_server.parameters import FrameParams
 from tests.server.api.guards.test_hostile import HOSTS, NUMBERS, WORDS, paths, said
 from tests.server.sockets import status
 

@@ -11,7 +11,6 @@ import time
 from pathlib import Path
 
 import click
-from isogi_server.settings import cores
 from PIL import Image
 from playwright.sync_api import Browser, Page, sync_playwright
 
@@ -19,6 +18,7 @@ from benchmarks.common.measurement import Measurement
 from benchmarks.common.serving import serving
 from benchmarks.common.suite import part
 from benchmarks.service.browser import CHROMIUM
+from isogi_server.settings import cores
 
 WINDOW = (1280, 800)
 """Width and height of the window that is pictured."""

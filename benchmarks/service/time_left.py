@@ -20,10 +20,6 @@ from typing import NamedTuple
 
 import click
 import numpy as np
-from isogi_server.cli.render import awaited
-from isogi_server.render.engine import RenderEngine
-from isogi_server.values import span
-from isogi_worker.progress import TimeLeft
 
 from benchmarks.common.measurement import Measurement, markdown
 from benchmarks.common.suite import part
@@ -31,6 +27,10 @@ from isogi_core.frame.frame import Frame
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from isogi_report.speed import view_of
+from isogi_server.cli.render import awaited
+from isogi_server.render.engine import RenderEngine
+from isogi_server.values import span
+from isogi_worker.progress import TimeLeft
 
 DOCS = Path(__file__).parents[2] / "docs"
 

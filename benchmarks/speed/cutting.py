@@ -16,9 +16,6 @@ from contextlib import closing
 from dataclasses import dataclass
 
 import click
-from isogi_server.render.engine import RenderEngine
-from isogi_server.render.scene_variant import Change
-from isogi_server.render.variants import Variants
 
 from benchmarks.common.measurement import Measurement, markdown
 from benchmarks.common.scenes import benchmark_scene
@@ -28,6 +25,9 @@ from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from isogi_report.command import DEFAULT_VIEWPOINT
 from isogi_report.speed import view_of
+from isogi_server.render.engine import RenderEngine
+from isogi_server.render.scene_variant import Change
+from isogi_server.render.variants import Variants
 
 SHARE = 0.1
 PATIENCE = 200.0

@@ -24,9 +24,6 @@ from typing import Any
 
 import click
 import numpy as np
-from isogi_server.cli.setting_options import settings_from
-from isogi_server.parameters import FrameParams, read
-from isogi_server.views import view_of
 
 from benchmarks.accuracy.mitsuba_race import VARIANT, Mitsuba
 from benchmarks.common import mesh, mitsuba
@@ -35,6 +32,9 @@ from benchmarks.common.scenes import scene_file
 from benchmarks.common.suite import part
 from benchmarks.common.timing import Seconds
 from isogi_core.plan.assembly import load_scene
+from isogi_server.cli.setting_options import settings_from
+from isogi_server.parameters import FrameParams, read
+from isogi_server.views import view_of
 
 FPS = 24
 FIRST = 30.0

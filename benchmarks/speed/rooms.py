@@ -21,8 +21,6 @@ from typing import Any
 import click
 import numpy as np
 import psutil
-from isogi_server.cli.render import awaited
-from isogi_server.render.engine import RenderEngine
 
 from benchmarks.common.measurement import Measurement
 from benchmarks.common.scenes import documented_scene, shared_data
@@ -46,6 +44,8 @@ from isogi_report.speed import (
     seconds,
     view_of,
 )
+from isogi_server.cli.render import awaited
+from isogi_server.render.engine import RenderEngine
 
 S3: Mapping[str, tuple[int, float]] = {
     "medical": (52, 1626.0),

@@ -8,7 +8,6 @@ from urllib.parse import urlencode
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from isogi_worker.progress import TimeLeft
 
 from isogi_core.files.scene_file import write_material_text
 from isogi_core.files.vector import Vector, triple
@@ -90,6 +89,7 @@ from isogi_server.schemas import (
     VolumeSchema,
 )
 from isogi_server.values import Span
+from isogi_worker.progress import TimeLeft
 
 MATERIALS_OF: WeakKeyDictionary[Scene, list[MaterialSchema]] = WeakKeyDictionary()
 """Materials of the scenes in use whose materials were asked for."""

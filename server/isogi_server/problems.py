@@ -7,7 +7,6 @@ from typing import Any
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
-from isogi_worker.errors import WorkersError
 from pydantic import BaseModel
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
@@ -45,6 +44,7 @@ from isogi_server.errors import (
     UploadsOffError,
 )
 from isogi_server.logs import REQUEST_ID
+from isogi_worker.errors import WorkersError
 
 log = logging.getLogger("isogi.requests")
 

@@ -10,7 +10,6 @@ from contextlib import ExitStack, contextmanager
 from typing import Any, Self
 
 import click
-from isogi_worker.progress import Promise, TimeLeft
 from tqdm import tqdm
 
 from isogi_core.files.scene_file import Target, find_source
@@ -21,6 +20,7 @@ from isogi_server import clocks
 from isogi_server.clocks import CLOCK, ticking
 from isogi_server.settings import Settings
 from isogi_server.values import span
+from isogi_worker.progress import Promise, TimeLeft
 
 ITEMS = "{desc}: {percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} {unit}s, {elapsed}{postfix}"
 WEIGHTED_BAR_FORMAT = "{desc}: {percentage:3.0f} %|{bar}| {elapsed}{postfix}"

@@ -5,13 +5,13 @@ document.
 from pathlib import Path
 
 import pytest
-from isogi_server.api.app import create_app
-from isogi_server.render.engine import RenderEngine
-from isogi_server.settings import Settings
 
 from benchmarks.common.serving import serving
 from benchmarks.service.hostile import PROGRAM, generated, program
 from benchmarks.service.routes import COSTLIEST, MOST_MIB, routes
+from isogi_server.api.app import create_app
+from isogi_server.render.engine import RenderEngine
+from isogi_server.settings import Settings
 from tests.benchmarks.parts import figures
 from tests.loaded import load_scene
 

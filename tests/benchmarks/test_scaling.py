@@ -8,11 +8,6 @@ from typing import Any
 import nrrd
 import numpy as np
 import pytest
-from isogi_server.cli.prewarm import fields_given
-from isogi_server.cli.prewarm import prewarm as prewarm_views
-from isogi_server.prewarm.order import order_of
-from isogi_server.settings import Settings
-from isogi_worker import pool
 
 from benchmarks.scaling import damage as damage_module
 from benchmarks.scaling import kills as kills_module
@@ -26,6 +21,11 @@ from benchmarks.scaling.public import draw, public
 from benchmarks.scaling.time_left import time_left
 from benchmarks.scaling.watching import altered
 from isogi_core.files.volume_copies import read_voxels
+from isogi_server.cli.prewarm import fields_given
+from isogi_server.cli.prewarm import prewarm as prewarm_views
+from isogi_server.prewarm.order import order_of
+from isogi_server.settings import Settings
+from isogi_worker import pool
 from tests.benchmarks.parts import figures, run
 from tests.server.inline import InlinePool
 

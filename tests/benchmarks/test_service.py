@@ -4,7 +4,6 @@ import shutil
 from pathlib import Path
 
 import pytest
-from isogi_worker.progress import TimeLeft
 
 from benchmarks.service.drag import drag
 from benchmarks.service.first_start import first_start, started
@@ -15,6 +14,7 @@ from benchmarks.service.memory import memory
 from benchmarks.service.time_left import Estimate, judged
 from benchmarks.service.warm_view import warm_view
 from isogi_core.kernels._jit import KERNEL_FOLDER
+from isogi_worker.progress import TimeLeft
 from tests.benchmarks.parts import figures
 from tests.compile_kernels import compile_all
 

@@ -8,14 +8,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from isogi_core.plan.assembly import load_scene
 from isogi_server.api.app import create_app
 from isogi_server.problems import problem
 from isogi_server.settings import Settings
 from isogi_worker.baker import Baker
 from isogi_worker.pool import WorkerPool
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
-
-from isogi_core.plan.assembly import load_scene
 from tests.live import live
 from tests.server.inline import EngineWithoutWorkers, InlinePool
 

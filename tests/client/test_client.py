@@ -20,7 +20,6 @@ import httpx
 import numpy as np
 import pytest
 from httpx_retries import RetryTransport
-from isogi_worker.pool import WorkerPool
 from PIL import Image
 
 import isogi.client as isogi_client
@@ -43,6 +42,7 @@ from isogi.client import (
     distance,
     nrrd_of,
 )
+from isogi_worker.pool import WorkerPool
 from tests.client.lab import TOKEN, Broken, Faults, Lab, lab_of
 from tests.loaded import load_scene
 

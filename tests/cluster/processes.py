@@ -16,8 +16,8 @@ from typing import Any, Self
 
 import httpx
 import psutil
-from isogi_worker.dask_pool import show_certificate
 
+from isogi_worker.dask_pool import show_certificate
 from tests.cluster.certificates import temporary_security
 
 ROOT = Path(__file__).resolve().parent.parent.parent

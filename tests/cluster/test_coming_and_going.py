@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 from distributed import LocalCluster
-from isogi_server.render.engine import RenderEngine
-from isogi_worker import pool
 
 from isogi_core.plan.assembly import load_scene
+from isogi_server.render.engine import RenderEngine
+from isogi_worker import pool
 from tests.cluster.intruder import fallen, ports_of
 from tests.cluster.processes import (
     DASK,

@@ -4,15 +4,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from isogi_server.render.engine import RenderEngine
-from isogi_worker.tasks import BakeTask, bake
-
 from isogi_core.frame.demand import Demand
 from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.backend import StoreUrl
 from isogi_core.storage.store import Store
+from isogi_server.render.engine import RenderEngine
+from isogi_worker.tasks import BakeTask, bake
 
 LONG = 240.0
 

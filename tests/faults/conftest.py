@@ -4,11 +4,11 @@ from collections.abc import Iterator
 from itertools import count
 
 import pytest
+
+from isogi_core.plan.assembly import load_scene
 from isogi_server.api.app import create_app
 from isogi_server.render.engine import RenderEngine
 from isogi_server.settings import Settings
-
-from isogi_core.plan.assembly import load_scene
 from tests.faults.bench import Bench
 from tests.faults.failpoints import FOLDER, run_failing_worker
 from tests.live import live

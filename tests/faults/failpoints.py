@@ -16,10 +16,9 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+from isogi_core.cache.layer import LayerStore
 from isogi_worker import tasks
 from isogi_worker.local_worker import Start, run_worker
-
-from isogi_core.cache.layer import LayerStore
 
 POINTS = ("before_bake", "before_write", "mid_write", "after_write", "after_bake")
 """Before a task reads its chunk; before a layer's object is written, when it is but has not its

@@ -9,12 +9,12 @@ from typing import Any
 
 import httpx
 import pytest
+
+from isogi_core.plan.assembly import load_scene
 from isogi_server.api.app import create_app
 from isogi_server.render.engine import RenderEngine
 from isogi_server.settings import Settings
 from isogi_worker import pool
-
-from isogi_core.plan.assembly import load_scene
 from tests.faults.bench import LONG
 from tests.live import live
 from tests.server.inline import InlinePool

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import httpx
 import pytest
-from isogi_worker.bake_requests import MOST_FAILURES
 
+from isogi_worker.bake_requests import MOST_FAILURES
 from tests.baking import bake_each_texel
 from tests.faults.bench import LONG, Bench, bake_here, objects_in
 from tests.faults.failpoints import FAULTS, POINTS

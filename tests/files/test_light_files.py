@@ -10,7 +10,6 @@ import nrrd
 import numpy as np
 import pytest
 import zarr
-from isogi_server.exports.lit_files import usdz_bytes
 from PIL import Image
 
 from isogi_core.errors import VolumeError
@@ -31,6 +30,7 @@ from isogi_core.files.light_files import (
     write_zarr,
 )
 from isogi_core.files.zarr_volume import open_zarr
+from isogi_server.exports.lit_files import usdz_bytes
 
 TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 VERTICES = np.array([[1e5, 0.0, 3.0], [1e5 + 1, 2.0, 3.0], [1e5, 2.0, 3.5], [1e5, 0.0, 7.0]])

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from isogi_server.exports import lit_files
 
 from isogi_core.files import plugins
 from isogi_core.files.formats import kinds
+from isogi_server.exports import lit_files
 
 STRANGER = Path(__file__).parent / "stranger"
 """The folder of a package as it lies when it is installed."""

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from isogi_server.cli.command import cli
 
 import isogi
 from isogi.scenes import kept_array, open_scene, plain, spacing_of, text_of, toml_of
 from isogi_core.errors import SceneError, ViewError, VolumeError
 from isogi_core.files.scene_file import SceneSource
+from isogi_server.cli.command import cli
 
 SIZE = {"width": 40, "height": 30}
 EASY = {"error": 0.3, **SIZE}

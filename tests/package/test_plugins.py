@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from isogi_server.cli.command import cli
-from isogi_server.exports.lit_files import checked_suffix, write_file
 
 from isogi_core.errors import ViewError, VolumeError
 from isogi_core.files.formats.opening import open_file
+from isogi_server.cli.command import cli
+from isogi_server.exports.lit_files import checked_suffix, write_file
 from tests.package.strangers import STRANGER, ball, brick, installed, write_package
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "plugins.md"

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from isogi_server.cli.command import run
 
 from isogi_core.errors import Cancelled, ReportError
 from isogi_core.plan.assembly import load_scene
@@ -22,6 +21,7 @@ from isogi_report.journal import Entry, open_journal, subject_of, workshop
 from isogi_report.measuring import STUDIES, Study
 from isogi_report.sections import Section
 from isogi_report.speed import view_of
+from isogi_server.cli.command import run
 from tests.report.samples import sections
 
 Run = Callable[[Bench], Section]

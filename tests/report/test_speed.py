@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from isogi_server.cli.command import run
 
 from isogi_core.plan.assembly import load_scene
 from isogi_core.prepared.prepared_scene import PreparedScene
@@ -21,6 +20,7 @@ from isogi_report.speed import (
     table,
     take_turns,
 )
+from isogi_server.cli.command import run
 
 NUMBERS = {
     "relight_ms",

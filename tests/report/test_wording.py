@@ -7,13 +7,13 @@ import time
 from types import SimpleNamespace
 
 import pytest
-from isogi_server import clocks
 
 from isogi_core.model.view import Camera, orbit, orthographic
 from isogi_report import measuring
 from isogi_report.heading import standpoint
 from isogi_report.measuring import Pieces
 from isogi_report.sections import Cell, Column, Table, text_column, text_columns
+from isogi_server import clocks
 
 
 @pytest.mark.parametrize(

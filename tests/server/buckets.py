@@ -8,10 +8,9 @@ from contextlib import closing, contextmanager
 from hashlib import sha256
 from pathlib import Path
 
-from isogi_server.render.engine import RenderEngine
-
 from isogi_core.plan.assembly import load_scene
 from isogi_core.storage.store import Store
+from isogi_server.render.engine import RenderEngine
 from tests.cluster.processes import ROOT, end, until
 from tests.server.inline import LONG, view_of
 

@@ -8,8 +8,8 @@ from typing import Any
 import httpx
 import pytest
 from fastapi import FastAPI
-from isogi_server.cli.command import run
 
+from isogi_server.cli.command import run
 from tests.server.asking import Ask, Told
 from tests.server.inline import InlinePool
 

@@ -7,13 +7,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from isogi_core.plan.assembly import load_scene
 from isogi_server.api.app import create_app
 from isogi_server.api.service import Service
 from isogi_server.render.engine import RenderEngine
 from isogi_worker.bake_requests import Key
 from isogi_worker.baker import Baker
-
-from isogi_core.plan.assembly import load_scene
 from tests.live import live
 from tests.server.sockets import settings_of
 

@@ -9,16 +9,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from isogi_server.render.engine import RenderEngine
-from isogi_server.render.loaded_scene import LoadedScene
-from isogi_worker.pool import Done
-from isogi_worker.tasks import BakeTask, bake
 
 from isogi_core.frame.rays.picture_plan import Prices
 from isogi_core.frame.tiles import Tiles
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.atomic_file import PARTIAL_SUFFIX
+from isogi_server.render.engine import RenderEngine
+from isogi_server.render.loaded_scene import LoadedScene
+from isogi_worker.pool import Done
+from isogi_worker.tasks import BakeTask, bake
 
 LONG = 60.0
 """Seconds within which any bake of these tests ends."""

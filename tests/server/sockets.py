@@ -10,12 +10,13 @@ from contextlib import contextmanager
 from typing import Any
 
 from fastapi import FastAPI, Request
+from starlette.responses import Response
+from websockets.asyncio.client import connect
+
 from isogi_server.api.lifespan import Closing, GracefulShutdown
 from isogi_server.cli.serve import Server, listen
 from isogi_server.render.metrics import Metrics
 from isogi_server.settings import Patience, Settings
-from starlette.responses import Response
-from websockets.asyncio.client import connect
 
 HEAD = b"GET /small HTTP/1.1\r\nHost: localhost\r\n"
 LARGE = 4 << 20

@@ -7,9 +7,9 @@ import httpx
 import nrrd
 import numpy as np
 import pytest
-from isogi_server.answers import colour_scale, scene_schema
 
 from isogi_core.plan.assembly import load_scene
+from isogi_server.answers import colour_scale, scene_schema
 from tests.live import serving
 from tests.server.asking import final
 

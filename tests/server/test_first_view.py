@@ -5,16 +5,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+
+from isogi_core.errors import SceneError
+from isogi_core.model.first_view import VIEW_READERS, FirstView
+from isogi_core.plan.variants import under
 from isogi_server.answers import scene_schema
 from isogi_server.knobs import KNOBS
 from isogi_server.parameters import FrameParams, read
 from isogi_server.settings import Settings
 from isogi_server.values import Span
 from isogi_server.views import view_of, with_first_view
-
-from isogi_core.errors import SceneError
-from isogi_core.model.first_view import VIEW_READERS, FirstView
-from isogi_core.plan.variants import under
 from tests.loaded import load_scene
 
 

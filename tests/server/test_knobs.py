@@ -1,12 +1,12 @@
 """The table of knobs, and what derives from it."""
 
 import pytest
+
+import isogi.client as isogi_client
 from isogi_server.answers import defaults, ranges
 from isogi_server.cli.arguments import FILM_OPTIONS, VIEW_OPTIONS
 from isogi_server.knobs import KNOBS
 from isogi_server.parameters import FrameParams, ViewParams
-
-import isogi.client as isogi_client
 from tests.loaded import load_scene
 
 

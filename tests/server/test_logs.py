@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+
 from isogi_server.logs import REQUEST_ID, JsonLines, Repeats, WithRequest
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -6,6 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
+from isogi_core.errors import ViewError
+from isogi_core.model.material import DULL, Shine
+from isogi_core.plan.scene import Scene
 from isogi_server.answers import scene_schema
 from isogi_server.errors import ParameterError
 from isogi_server.parameters import FrameParams, NoParams, ViewParams, documented, read
@@ -13,10 +17,6 @@ from isogi_server.prewarm.order import Views, order_of
 from isogi_server.settings import Settings
 from isogi_server.values import Choice, Span
 from isogi_server.views import camera_of, view_of
-
-from isogi_core.errors import ViewError
-from isogi_core.model.material import DULL, Shine
-from isogi_core.plan.scene import Scene
 from tests.loaded import load_scene
 
 NUMBERS = [

@@ -4,6 +4,12 @@ import io
 
 import numpy as np
 import pytest
+from PIL import Image
+
+from isogi_core.frame.frame import Frame
+from isogi_core.frame.gbuffer import GBuffer
+from isogi_core.model.view import View
+from isogi_core.plan.assembly import load_scene
 from isogi_server import pictures
 from isogi_server.errors import NotAcceptableError, ParameterError
 from isogi_server.parameters import FrameParams, read
@@ -17,12 +23,6 @@ from isogi_server.pictures import (
     npy_bytes,
     npy_parts,
 )
-from PIL import Image
-
-from isogi_core.frame.frame import Frame
-from isogi_core.frame.gbuffer import GBuffer
-from isogi_core.model.view import View
-from isogi_core.plan.assembly import load_scene
 
 CHROMIUM = "image/avif,image/webp,image/apng,image/svg+xml,image/*,*/*;q=0.8"
 

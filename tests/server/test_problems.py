@@ -6,12 +6,12 @@ from http import HTTPStatus
 
 import pytest
 from fastapi import FastAPI
-from isogi_server import errors as service
-from isogi_server.problems import domain_problem, install, status_of
-from isogi_worker import errors as workers
 from starlette.requests import Request
 
 from isogi_core import errors as domain
+from isogi_server import errors as service
+from isogi_server.problems import domain_problem, install, status_of
+from isogi_worker import errors as workers
 from tests.server.asking import Ask
 
 

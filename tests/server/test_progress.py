@@ -8,13 +8,13 @@ from types import SimpleNamespace
 import nrrd
 import numpy as np
 import pytest
+
+from isogi_core.files.mappings import budget
+from isogi_core.files.volume_copies import copies_folder, most_bytes
 from isogi_server import clocks, progress
 from isogi_server.progress import Progress, open_scene
 from isogi_server.settings import Settings
 from isogi_worker.progress import TimeLeft
-
-from isogi_core.files.mappings import budget
-from isogi_core.files.volume_copies import copies_folder, most_bytes
 from tests.server.sockets import wait_for
 
 

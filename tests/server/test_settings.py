@@ -3,10 +3,11 @@
 from pathlib import Path
 
 import pytest
+from pydantic import ValidationError
+
 from isogi_server.cli.command import run
 from isogi_server.cli.setting_options import unknown_variables
 from isogi_server.settings import LOOPBACK_HOSTS, Settings, read_settings
-from pydantic import ValidationError
 
 
 def test_every_setting_is_documented() -> None:

@@ -5,6 +5,7 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from isogi_server.values import Choice, Row, Span, finite, seconds_of, seconds_of_age, shown, span
 
 HOSTILE = [

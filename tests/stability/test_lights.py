@@ -9,8 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from isogi_server.parameters import ViewParams, read
-from isogi_server.views import light_of
 
 from isogi_core.frame.film import develop
 from isogi_core.frame.frame import Frame
@@ -19,6 +17,8 @@ from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.scene_plan import MIN_SAMPLES
 from isogi_core.model.view import IDENTITY, Quaternion, rotation_matrix, unit_quaternion
 from isogi_core.plan.scene import Scene
+from isogi_server.parameters import ViewParams, read
+from isogi_server.views import light_of
 from tests.stability.scenes import (
     ABOVE,
     CONSTANT,

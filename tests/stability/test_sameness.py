@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from isogi_worker.tasks import BakeTask, bake
 
 from isogi_core.bake.bake_spec import SPECS
 from isogi_core.bake.texel_light import FIRST_LEVEL
@@ -35,6 +34,7 @@ from isogi_core.runs import Run, serially
 from isogi_core.storage.backend import StoreUrl
 from isogi_report.bench import UNREACHED_TARGET
 from isogi_report.speed import bake_chunks, wanted_of
+from isogi_worker.tasks import BakeTask, bake
 from tests.loaded import load_scene
 from tests.stability.scenes import view_of
 

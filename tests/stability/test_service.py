@@ -15,13 +15,13 @@ import nrrd
 import numpy as np
 import pytest
 from fastapi import FastAPI
+from PIL import Image
+
+from isogi_core.model.choices import VIEW_SHADINGS
 from isogi_server.api.app import create_app
 from isogi_server.cli.command import run, settings_from
 from isogi_worker.baker import Baker
 from isogi_worker.pool import WorkerPool
-from PIL import Image
-
-from isogi_core.model.choices import VIEW_SHADINGS
 from tests.loaded import load_scene
 from tests.server.inline import EngineWithoutWorkers, InlinePool
 from tests.stability.scenes import CONSTANT

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from isogi_server.parameters import ViewParams, read
-from isogi_server.views import isovalue_of
 
 from isogi_core.errors import IsogiError
 from isogi_core.frame.frame import Frame
 from isogi_core.model.volume import Volume, make_volume
 from isogi_core.plan.scene import Scene
+from isogi_server.parameters import ViewParams, read
+from isogi_server.views import isovalue_of
 from tests.stability.scenes import (
     CONSTANT,
     ball_volume,

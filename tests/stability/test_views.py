@@ -8,8 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from isogi_server.parameters import ViewParams, read
-from isogi_server.views import camera_of
 
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.frame.renderer import Renderer
@@ -19,6 +17,8 @@ from isogi_core.model.view import Camera, View, orthographic
 from isogi_core.model.volume import make_volume
 from isogi_core.plan.scene import Scene
 from isogi_report.bench import ViewBake
+from isogi_server.parameters import ViewParams, read
+from isogi_server.views import camera_of
 from tests.loaded import load_scene
 from tests.stability.scenes import STAND, is_finite, renderer_of, scene_of, surface_in
 from tests.stability.volumes import body, ramp

@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from isogi_server.cli.film_path import views_in
 from PIL import Image
 from playwright.sync_api import BrowserContext, Page, Route, expect
 
+from isogi_server.cli.film_path import views_in
 from tests.web.visits import BROWSER, FINAL_MS, open_final, query_of, shoot, unfold, wait_final
 
 pytestmark = BROWSER

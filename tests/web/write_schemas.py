@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from fastapi import FastAPI
+
 from isogi_server.api.app import ROUTERS
 
 TYPES = Path(__file__).parents[2] / "web" / "isogi_web" / "documents.d.ts"

@@ -11,10 +11,6 @@ from typing import Any
 
 import numba
 import numpy as np
-from isogi_worker.local_pool import LocalPool, Sent
-from isogi_worker.local_worker import Job
-from isogi_worker.pool import WorkerPool
-from isogi_worker.tasks import BakeResult, BakeTask
 
 from isogi_core.bake.bake_spec import spec_for
 from isogi_core.kernels._compilation import with_callees
@@ -23,6 +19,10 @@ from isogi_core.plan.assembly import load_scene
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.storage.backend import StoreUrl
 from isogi_core.storage.store import Store
+from isogi_worker.local_pool import LocalPool, Sent
+from isogi_worker.local_worker import Job
+from isogi_worker.pool import WorkerPool
+from isogi_worker.tasks import BakeResult, BakeTask
 
 SCENE = load_scene("demo:orbital", order=2, lattice=0.4, bounces=1, target_error=0.5)
 SPEC = spec_for(PreparedScene(SCENE), "gi")

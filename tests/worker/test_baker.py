@@ -6,6 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
+from isogi_core.bake.noise import Effort
+from isogi_core.cache.costs import Cost, Costs
+from isogi_core.errors import StoreAwayError, StoreError
+from isogi_core.files.scene_file import SceneSource
+from isogi_core.frame.demand import Demand
+from isogi_core.model.scene_plan import MAX_SAMPLES, Layer, ScenePlan
+from isogi_core.prepared.prepared_scene import Index
+from isogi_core.storage.backend import StoreUrl
 from isogi_worker.bake_requests import GUEST_VIEWER, MOST_FAILURES, Viewer
 from isogi_worker.baker import (
     CLEAR_CORES_SECONDS,
@@ -22,15 +31,6 @@ from isogi_worker.pool import AllDone, Done
 from isogi_worker.progress import Tally, TimeLeft
 from isogi_worker.queue import FORGET_AFTER
 from isogi_worker.tasks import BAKED_ELSEWHERE, BakeResult, BakeTask
-
-from isogi_core.bake.noise import Effort
-from isogi_core.cache.costs import Cost, Costs
-from isogi_core.errors import StoreAwayError, StoreError
-from isogi_core.files.scene_file import SceneSource
-from isogi_core.frame.demand import Demand
-from isogi_core.model.scene_plan import MAX_SAMPLES, Layer, ScenePlan
-from isogi_core.prepared.prepared_scene import Index
-from isogi_core.storage.backend import StoreUrl
 from tests.server.sockets import wait_for
 
 SOURCE = SceneSource("scene", {"volume": "demo:orbital"}, Path())

@@ -2,13 +2,13 @@ import random
 
 import numpy as np
 import pytest
-from isogi_worker.bake_requests import BakeRequest, Key, Viewer
-from isogi_worker.queue import MIN_PLACES, RERANK_LOSS, BakeQueue
-from isogi_worker.tasks import BakeResult
 
 from isogi_core.bake.noise import Effort
 from isogi_core.cache.costs import Cost
 from isogi_core.frame.demand import Demand
+from isogi_worker.bake_requests import BakeRequest, Key, Viewer
+from isogi_worker.queue import MIN_PLACES, RERANK_LOSS, BakeQueue
+from isogi_worker.tasks import BakeResult
 from tests.worker.clock import Clock
 
 TEXELS = np.arange(4, dtype=np.int32)

@@ -16,12 +16,12 @@ from distributed import Future, LocalCluster
 from distributed.client import FutureCancelledError
 from distributed.scheduler import KilledWorker
 from distributed.utils import LoopRunner
+
+from isogi_core.kernels._compilation import warm
 from isogi_worker.dask_pool import DaskPool, OwnClient, hand_on_result
 from isogi_worker.errors import LostWorkerError, WorkersAwayError, WorkersError
 from isogi_worker.pool import TASKS_AHEAD
 from isogi_worker.tasks import OPENING_KERNELS, PLAIN_LAYER_KINDS, BakeResult, bake_kernels
-
-from isogi_core.kernels._compilation import warm
 from tests.server.sockets import wait_for
 from tests.worker.pools import LONG, bake_all, kernels_of_this_process, named, tasks_for
 

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 
 import psutil
 import pytest
+
+from isogi_core.kernels._jit import entries_of
 from isogi_worker.fork_server import START_METHOD, WORKER_PROCESS_NAME
 from isogi_worker.local_pool import LocalPool
 from isogi_worker.tasks import bake_kernels
-
-from isogi_core.kernels._jit import entries_of
 from tests.server.sockets import wait_for
 from tests.worker.pools import run
 

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import psutil
 import pytest
-from isogi_worker.fork_server import START_METHOD
 
+from isogi_worker.fork_server import START_METHOD
 from tests.cluster.intruder import fallen, ports_of
 from tests.cluster.processes import QUIET, ROOT, Cluster, end, listens, until
 

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+
 from isogi_worker.dask_pool import DaskPool
 
 

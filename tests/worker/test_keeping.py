@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from isogi_worker.tasks import BakeResult, BakeTask, Whole, bake, open_spec
 
 from isogi_core.bake.bake_spec import BakeSpec, spec_for
 from isogi_core.plan.assembly import load_scene
@@ -16,6 +15,7 @@ from isogi_core.plan.variants import cut_open
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.storage.backend import StoreUrl
 from isogi_core.storage.store import Store
+from isogi_worker.tasks import BakeResult, BakeTask, Whole, bake, open_spec
 
 WHOLE = load_scene("demo:orbital", order=2, lattice=0.4, bounces=2, target_error=0.05)
 INDEX = (1, 1, 1)

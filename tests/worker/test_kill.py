@@ -14,9 +14,6 @@ from pathlib import Path
 import httpx
 import psutil
 import pytest
-from isogi_server.render.engine import RenderEngine
-from isogi_worker import pool
-from isogi_worker.fork_server import WORKER_PROCESS_NAME
 
 from isogi_core.bake.bake_spec import spec_for
 from isogi_core.cache.chunk_store import ChunkStore
@@ -25,6 +22,9 @@ from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
+from isogi_server.render.engine import RenderEngine
+from isogi_worker import pool
+from isogi_worker.fork_server import WORKER_PROCESS_NAME
 from tests.baking import bake_each_texel
 from tests.server.inline import InlinePool
 from tests.server.sockets import wait_for

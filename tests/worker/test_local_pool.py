@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 import psutil
 import pytest
+
+from isogi_core.cache.chunk_store import ChunkStore
+from isogi_core.kernels._compilation import warm
 from isogi_worker.errors import LostWorkerError, WorkersAwayError, WorkersError
 from isogi_worker.fork_server import WORKER_PROCESS_NAME
 from isogi_worker.local_pool import LocalPool
 from isogi_worker.niceness import WORKER_NICENESS
 from isogi_worker.pool import TASKS_AHEAD
 from isogi_worker.tasks import OPENING_KERNELS, PLAIN_LAYER_KINDS, bake_kernels, open_spec
-
-from isogi_core.cache.chunk_store import ChunkStore
-from isogi_core.kernels._compilation import warm
 from tests.server.sockets import wait_for
 from tests.worker.pools import (
     LONG,

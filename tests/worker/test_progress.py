@@ -3,6 +3,7 @@ from collections.abc import Callable
 from itertools import groupby
 
 import pytest
+
 from isogi_worker.progress import (
     ASSUMED_WORK_RATIOS,
     LEAST_SECONDS,
@@ -15,7 +16,6 @@ from isogi_worker.progress import (
     TimeEstimator,
     TimeLeft,
 )
-
 from tests.worker.clock import Clock
 
 

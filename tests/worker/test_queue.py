@@ -1,5 +1,11 @@
 import numpy as np
 import pytest
+
+from isogi_core.bake.noise import Effort
+from isogi_core.bake.texel_light import FIRST_LEVEL
+from isogi_core.cache.costs import Cost
+from isogi_core.frame.demand import Demand
+from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_worker import bake_requests
 from isogi_worker.bake_requests import (
     GUEST_VIEWER,
@@ -13,12 +19,6 @@ from isogi_worker.bake_requests import (
 )
 from isogi_worker.queue import EXPIRY_CHECK_SECONDS, FORGET_AFTER, STALE_SECONDS, BakeQueue
 from isogi_worker.tasks import BakeResult
-
-from isogi_core.bake.noise import Effort
-from isogi_core.bake.texel_light import FIRST_LEVEL
-from isogi_core.cache.costs import Cost
-from isogi_core.frame.demand import Demand
-from isogi_core.model.scene_plan import MAX_SAMPLES
 from tests.worker.clock import Clock
 
 UNLIT = Effort(3, 0.0, 0.0)

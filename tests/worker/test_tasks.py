@@ -9,6 +9,21 @@ from typing import Any
 
 import numpy as np
 import pytest
+
+from isogi_core.bake.bake_spec import BakeSpec, spec_for
+from isogi_core.bake.noise import Effort, finished, relative_error, standard_error
+from isogi_core.bake.refine import locate
+from isogi_core.cache.chunk_store import ChunkStore
+from isogi_core.cache.scene_assets import send_assets
+from isogi_core.errors import SceneError, StoreAwayError, VolumeError
+from isogi_core.kernels.transport.transfer import bake_irradiance, bake_texels, locate_texels
+from isogi_core.model.scene_plan import most_samples
+from isogi_core.plan.assembly import load_scene
+from isogi_core.prepared import prepared_scene
+from isogi_core.prepared.prepared_scene import PreparedScene
+from isogi_core.prepared.shared_scenes import SharedScenes
+from isogi_core.storage.backend import StoreUrl
+from isogi_core.storage.store import SENTINEL_KEY, Store
 from isogi_worker import tasks
 from isogi_worker.tasks import (
     BAKED_ELSEWHERE,
@@ -25,21 +40,6 @@ from isogi_worker.tasks import (
     opened,
     sample_texels,
 )
-
-from isogi_core.bake.bake_spec import BakeSpec, spec_for
-from isogi_core.bake.noise import Effort, finished, relative_error, standard_error
-from isogi_core.bake.refine import locate
-from isogi_core.cache.chunk_store import ChunkStore
-from isogi_core.cache.scene_assets import send_assets
-from isogi_core.errors import SceneError, StoreAwayError, VolumeError
-from isogi_core.kernels.transport.transfer import bake_irradiance, bake_texels, locate_texels
-from isogi_core.model.scene_plan import most_samples
-from isogi_core.plan.assembly import load_scene
-from isogi_core.prepared import prepared_scene
-from isogi_core.prepared.prepared_scene import PreparedScene
-from isogi_core.prepared.shared_scenes import SharedScenes
-from isogi_core.storage.backend import StoreUrl
-from isogi_core.storage.store import SENTINEL_KEY, Store
 
 INDEX = (1, 1, 2)
 UNTIL = most_samples(0.05)

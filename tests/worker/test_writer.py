@@ -6,11 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from isogi_worker import writer as writing
-from isogi_worker.errors import LostWorkerError
-from isogi_worker.pool import WriteDone
-from isogi_worker.tasks import BakeResult, BakeTask, WriteTask, Written, bake, open_spec, write_all
-from isogi_worker.writer import MOST_FAILURES, LightWriter
 
 from isogi_core.bake.texel_light import Light
 from isogi_core.cache import fresh_light
@@ -18,6 +13,11 @@ from isogi_core.cache.chunk_record import Chunk
 from isogi_core.cache.fresh_light import FreshLight
 from isogi_core.errors import StoreAwayError
 from isogi_core.prepared.prepared_scene import Index
+from isogi_worker import writer as writing
+from isogi_worker.errors import LostWorkerError
+from isogi_worker.pool import WriteDone
+from isogi_worker.tasks import BakeResult, BakeTask, WriteTask, Written, bake, open_spec, write_all
+from isogi_worker.writer import MOST_FAILURES, LightWriter
 from tests.worker.pools import SCENE, SPEC, TEXELS, tasks_for
 
 INDEX = (0, 0, 0)

@@ -7,12 +7,11 @@ import random
 from collections import deque
 from dataclasses import dataclass
 
-from isogi_worker.pool import TASKS_AHEAD, Done
-from isogi_worker.tasks import BakeTask
-
 from benchmarks.scaling.simulator.light import Light
 from benchmarks.scaling.simulator.world import World
 from isogi_core.errors import StoreError
+from isogi_worker.pool import TASKS_AHEAD, Done
+from isogi_worker.tasks import BakeTask
 
 OBJECTS = 4
 """Times that a task asks the store: it reads the chunk of two layers, and writes both."""

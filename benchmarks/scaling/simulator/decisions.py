@@ -6,13 +6,13 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from isogi_worker.bake_requests import Key, Viewer
-from isogi_worker.queue import BakeQueue
-from isogi_worker.tasks import BakeResult
 
 from isogi_core.bake.noise import Effort
 from isogi_core.cache.costs import Cost
 from isogi_core.frame.demand import Demand
+from isogi_worker.bake_requests import Key, Viewer
+from isogi_worker.queue import BakeQueue
+from isogi_worker.tasks import BakeResult
 
 ROUNDS = 24
 """Decisions that are timed; the median of their seconds is told."""

@@ -6,13 +6,13 @@ import itertools
 from dataclasses import dataclass, field
 
 import numpy as np
-from isogi_worker.tasks import BakeResult
 
 from benchmarks.scaling.simulator.recording import TEXELS, Ladder, Recording, Sight
 from isogi_core.bake.noise import Effort
 from isogi_core.cache.costs import Cost
 from isogi_core.frame.demand import Demand
 from isogi_core.prepared.prepared_scene import Index
+from isogi_worker.tasks import BakeResult
 
 
 @dataclass(eq=False)

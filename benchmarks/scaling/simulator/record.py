@@ -9,16 +9,15 @@ from collections import defaultdict
 from contextlib import closing
 from typing import Any, cast
 
-from isogi_worker.bake_requests import GUEST_VIEWER
-from isogi_worker.baker import Baker
-from isogi_worker.pool import Done, WorkerPool
-from isogi_worker.tasks import BakeResult, BakeTask
-
 from benchmarks.scaling.simulator.recording import Ladder, Recording, Sight, Step
 from isogi_core.frame.frame import Frame
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index
+from isogi_worker.bake_requests import GUEST_VIEWER
+from isogi_worker.baker import Baker
+from isogi_worker.pool import Done, WorkerPool
+from isogi_worker.tasks import BakeResult, BakeTask
 from tests.server.inline import EngineWithoutWorkers, InlinePool
 
 LONG = 1e9

@@ -9,10 +9,6 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-from isogi_worker.bake_requests import Viewer
-from isogi_worker.baker import Bake, Baker
-from isogi_worker.pool import Done, WorkerPool
-from isogi_worker.tasks import BakeTask
 
 from benchmarks.scaling.simulator.cluster import Cluster, Conditions
 from benchmarks.scaling.simulator.light import Light
@@ -26,6 +22,10 @@ from isogi_core.model.scene_plan import Layer, ScenePlan
 from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.backend import StoreUrl
 from isogi_core.storage.store import Store
+from isogi_worker.bake_requests import Viewer
+from isogi_worker.baker import Bake, Baker
+from isogi_worker.pool import Done, WorkerPool
+from isogi_worker.tasks import BakeTask
 
 FRAME = 0.02
 """Seconds that the server draws a frame: 512 × 512 pixels, two cores."""

@@ -4,14 +4,13 @@ import random
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
+from benchmarks.scaling.simulator.light import Light
+from benchmarks.scaling.simulator.world import Pause, Pending, World
+from isogi_core.frame.demand import Demand
 from isogi_server.api.service import HEARTBEAT, REFINING, SHORTEST_PAUSE
 from isogi_server.api.stream import WANT_EVERY
 from isogi_worker.bake_requests import Viewer
 from isogi_worker.baker import Baker
-
-from benchmarks.scaling.simulator.light import Light
-from benchmarks.scaling.simulator.world import Pause, Pending, World
-from isogi_core.frame.demand import Demand
 
 TARGET = 0.05
 """The target error of the recordings."""

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Annotated, TypeVar
 
 from fastapi import Depends, Header
-from isogi_worker.progress import TimeLeft
 
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.tiles import Stopwatch
@@ -18,6 +17,7 @@ from isogi_core.plan.variants import FINER_FACTOR
 from isogi_server.knobs import LONGEST_WAIT
 from isogi_server.parameters import FrameParams, ViewParams
 from isogi_server.pictures import media_range
+from isogi_worker.progress import TimeLeft
 
 FOR_EVER = "max-age=31536000, immutable"
 """Caching of a final picture at an address that names its version: it never changes."""

@@ -18,10 +18,6 @@ from datetime import datetime
 from itertools import count
 from typing import TypeVar
 
-from isogi_worker.bake_requests import Viewer
-from isogi_worker.errors import WorkersError
-from isogi_worker.progress import TimeLeft
-
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.errors import Cancelled, StoreError
 from isogi_core.frame.frame import Frame
@@ -44,6 +40,9 @@ from isogi_server.prewarm.record import (
 from isogi_server.prewarm.work import carry_out, carry_out_dry, wanted
 from isogi_server.render.bakes import BACKGROUND_VIEWER
 from isogi_server.render.jobs import Job, Result
+from isogi_worker.bake_requests import Viewer
+from isogi_worker.errors import WorkersError
+from isogi_worker.progress import TimeLeft
 
 SURVEY_WAIT_SECONDS = 5.0
 """Seconds for which the frame of a survey yields to other frames."""

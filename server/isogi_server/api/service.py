@@ -16,8 +16,6 @@ from typing import Annotated, NamedTuple, Self, TypeVar
 import numpy as np
 from fastapi import Depends, Request
 from fastapi.requests import HTTPConnection
-from isogi_worker.bake_requests import Viewer
-from isogi_worker.progress import TimeLeft
 
 from isogi_core.bake.bake_spec import SPECS
 from isogi_core.errors import IsogiError, NoRoomError, StoreError
@@ -54,6 +52,8 @@ from isogi_server.render.viewers import request_viewer, run_while_connected
 from isogi_server.settings import Settings
 from isogi_server.uploads.uploads import Uploads
 from isogi_server.views import view_of
+from isogi_worker.bake_requests import Viewer
+from isogi_worker.progress import TimeLeft
 
 Result = TypeVar("Result")
 

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import click
-from isogi_worker.fork_server import start_fork_server
 
 from isogi_core.allocation import keep_memory_small
 from isogi_core.errors import (
@@ -49,6 +48,7 @@ from isogi_server.cli.arguments import (
 from isogi_server.cli.help import Commands, SettingsCommand
 from isogi_server.cli.stopping import stopped_at_once
 from isogi_server.knobs import KNOBS
+from isogi_worker.fork_server import start_fork_server
 
 BAD_INPUT = (SceneError, VolumeError, LightError, ViewError, StoreUrlError)
 

@@ -14,8 +14,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from isogi_worker.bake_requests import Viewer
-from isogi_worker.progress import TimeLeft
 
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.errors import Cancelled, IsogiError, SceneError
@@ -34,6 +32,8 @@ from isogi_server.render.patience import STALLED_SECONDS
 from isogi_server.render.stores import root_of
 from isogi_server.settings import Settings
 from isogi_server.values import document_in
+from isogi_worker.bake_requests import Viewer
+from isogi_worker.progress import TimeLeft
 
 if TYPE_CHECKING:
     from isogi.client import Job

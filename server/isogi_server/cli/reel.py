@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from isogi_worker.progress import ASSUMED_WORK_RATIOS, TimeLeft
 
 from isogi_core.errors import ViewError
 from isogi_core.frame.frame import Frame
@@ -37,6 +36,7 @@ from isogi_server.render.scene_variant import Change, SceneVariant
 from isogi_server.render.variants import Variants
 from isogi_server.settings import Settings
 from isogi_server.views import view_of
+from isogi_worker.progress import ASSUMED_WORK_RATIOS, TimeLeft
 
 RECORD_WRITE_SECONDS = 1.0
 """Seconds between two writings of the list of pictures; after a crash, pictures that it lacks

@@ -11,8 +11,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from isogi_worker.errors import WorkersError
-from isogi_worker.progress import TimeLeft
 from tqdm import tqdm
 
 from isogi_core.cache.scene_caches import Caches
@@ -46,6 +44,8 @@ from isogi_server.render.engine import RenderEngine, engine_for
 from isogi_server.render.patience import Patience, time_limit
 from isogi_server.settings import Settings
 from isogi_server.views import PLACING, isovalue_of, view_of, with_first_view
+from isogi_worker.errors import WorkersError
+from isogi_worker.progress import TimeLeft
 
 FRAME_SECONDS = 2.0
 """Seconds between two frames while light is baked."""

@@ -17,20 +17,6 @@ from itertools import groupby, islice
 from pathlib import Path
 
 import numpy as np
-from isogi_worker.bake_requests import Viewer, next_until
-from isogi_worker.errors import WorkersError
-from isogi_worker.progress import (
-    PER_TASK,
-    ChunkCost,
-    CostEstimate,
-    Pace,
-    TimeEstimator,
-    TimeLeft,
-    extrapolated,
-    relative_standard_error,
-    seconds_per_texel,
-)
-from isogi_worker.tasks import BakeTask, cost_of, load_kernels, results_of, sample_texels
 
 from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.bake.noise import Effort, Goal, relative_error
@@ -55,6 +41,20 @@ from isogi_server.render.bakes import BackgroundBake
 from isogi_server.render.engine import RenderEngine
 from isogi_server.render.patience import Patience
 from isogi_server.settings import cores
+from isogi_worker.bake_requests import Viewer, next_until
+from isogi_worker.errors import WorkersError
+from isogi_worker.progress import (
+    PER_TASK,
+    ChunkCost,
+    CostEstimate,
+    Pace,
+    TimeEstimator,
+    TimeLeft,
+    extrapolated,
+    relative_standard_error,
+    seconds_per_texel,
+)
+from isogi_worker.tasks import BakeTask, cost_of, load_kernels, results_of, sample_texels
 
 
 @dataclass(frozen=True)

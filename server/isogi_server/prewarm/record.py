@@ -14,7 +14,6 @@ from datetime import datetime
 from typing import Literal
 from uuid import uuid4
 
-from isogi_worker.progress import TimeLeft
 from pydantic import BaseModel, Field, ValidationError
 
 from isogi_core.bake.texel_light import FIRST_LEVEL
@@ -27,6 +26,7 @@ from isogi_server.progress import left_text
 from isogi_server.render.jobs import Status, now
 from isogi_server.schemas import TimeLeftSchema
 from isogi_server.values import span
+from isogi_worker.progress import TimeLeft
 
 MOST_FAILURES = 100
 """Number of failures that are listed one by one; the others are only counted."""

@@ -17,8 +17,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from isogi_worker.errors import WorkersError
-from isogi_worker.progress import CostEstimate
 
 from isogi_core.bake.noise import Effort, Goal, relative_error
 from isogi_core.bake.texel_light import FIRST_LEVEL, next_level
@@ -51,6 +49,8 @@ from isogi_server.prewarm.record import Errors, Summary, failures_of
 from isogi_server.render.patience import time_limit
 from isogi_server.schemas import TimeLeftSchema
 from isogi_server.settings import Settings
+from isogi_worker.errors import WorkersError
+from isogi_worker.progress import CostEstimate
 
 Span = tuple[float, float]
 """The shares of all work at which a part of it begins and ends."""

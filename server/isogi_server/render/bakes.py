@@ -11,11 +11,6 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 
-from isogi_worker.bake_requests import Viewer
-from isogi_worker.baker import Bake, Baker
-from isogi_worker.progress import TimeLeft
-from isogi_worker.tasks import Assets, Whole
-
 from isogi_core.bake.bake_spec import SPECS
 from isogi_core.cache.costs import Costs
 from isogi_core.cache.fresh_light import fresh_light
@@ -27,6 +22,10 @@ from isogi_core.frame.texel_reading import Stage
 from isogi_core.model.volume import Isovalue
 from isogi_core.prepared.prepared_scene import Index, PreparedScene
 from isogi_core.storage.store import Store
+from isogi_worker.bake_requests import Viewer
+from isogi_worker.baker import Bake, Baker
+from isogi_worker.progress import TimeLeft
+from isogi_worker.tasks import Assets, Whole
 
 
 def bake_name(scene: str, spec: str) -> str:

@@ -10,17 +10,6 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 
-from isogi_worker.bake_requests import GUEST_VIEWER, Viewer
-from isogi_worker.baker import Baker, Listener
-from isogi_worker.progress import (
-    ASSUMED_WORK_RATIOS,
-    UNREHEARSED_SPREAD,
-    Promises,
-    TimeEstimator,
-    TimeLeft,
-    log_normal_ratios,
-)
-
 from isogi_core.bake.bake_spec import SPECS, spec_name
 from isogi_core.bake.noise import Goal
 from isogi_core.bake.texel_light import FIRST_LEVEL
@@ -57,6 +46,16 @@ from isogi_server.render.scene_kernels import SceneKernels
 from isogi_server.render.scene_variant import SceneVariant
 from isogi_server.render.stores import root_of, whereabouts
 from isogi_server.settings import Settings
+from isogi_worker.bake_requests import GUEST_VIEWER, Viewer
+from isogi_worker.baker import Baker, Listener
+from isogi_worker.progress import (
+    ASSUMED_WORK_RATIOS,
+    UNREHEARSED_SPREAD,
+    Promises,
+    TimeEstimator,
+    TimeLeft,
+    log_normal_ratios,
+)
 
 NOTHING_LEFT = PathsLeft()
 

@@ -4,13 +4,12 @@ import logging
 import threading
 from collections.abc import Collection
 
-from isogi_worker import pool
-from isogi_worker.baker import Baker
-from isogi_worker.errors import WorkersAwayError, WorkersError
-
 from isogi_core.errors import IsogiError
 from isogi_core.storage.backend import StoreUrl
 from isogi_server.settings import Settings
+from isogi_worker import pool
+from isogi_worker.baker import Baker
+from isogi_worker.errors import WorkersAwayError, WorkersError
 
 log = logging.getLogger("isogi.server")
 

@@ -21,13 +21,13 @@ from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
-from isogi_worker.progress import Promise, TimeLeft
 from pydantic import BaseModel
 
 from isogi_core.errors import IsogiError
 from isogi_core.storage.atomic_file import PARTIAL_SUFFIX
 from isogi_server.errors import BusyError, FullError, UnknownJobError, UnknownResultError
 from isogi_server.render.scheduling import AdmissionLimit, Place
+from isogi_worker.progress import Promise, TimeLeft
 
 log = logging.getLogger("isogi.server")
 

@@ -8,8 +8,6 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
-from isogi_worker.tasks import Assets, Whole
-
 from isogi_core.allocation import give_memory_back
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache.scene_caches import Caches
@@ -29,6 +27,7 @@ from isogi_core.plan.volumes.masks import voxels_left
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.storage.store import Store
 from isogi_server.render.bakes import ShareAssets, share_nothing
+from isogi_worker.tasks import Assets, Whole
 
 log = logging.getLogger("isogi.render")
 

@@ -7,11 +7,10 @@ from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from isogi_worker.bake_requests import Viewer
-
 from isogi_core.errors import IsogiError
 from isogi_core.model.view import View
 from isogi_core.prepared.prepared_scene import Index
+from isogi_worker.bake_requests import Viewer
 
 log = logging.getLogger("isogi.render")
 

@@ -5,15 +5,14 @@ import threading
 from collections.abc import Callable, Collection
 from typing import Any
 
-from isogi_worker.fork_server import START_METHOD, start_fork_server
-from isogi_worker.tasks import bake_kernels
-
 from isogi_core.frame.entry_kernels import first_kernels, frame_kernels, other_kernels
 from isogi_core.kernels._cache_folder import prune_folders
 from isogi_core.kernels._compilation import COMPILER_NICENESS, Compilation, KernelProgress, warm
 from isogi_core.kernels._jit import KERNEL_FOLDER, READ_ONLY_FOLDER, load
 from isogi_core.plan.scene import Scene
 from isogi_server.progress import about_left
+from isogi_worker.fork_server import START_METHOD, start_fork_server
+from isogi_worker.tasks import bake_kernels
 
 log = logging.getLogger("isogi.server")
 

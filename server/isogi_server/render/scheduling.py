@@ -13,10 +13,9 @@ from contextvars import copy_context
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
-from isogi_worker.bake_requests import Account, FairClock
-
 from isogi_core.frame.tiles import Interruption
 from isogi_server.errors import BusyError
+from isogi_worker.bake_requests import Account, FairClock
 
 USUAL_WORK_SECONDS = 0.02
 """Seconds that a client's work is expected to take before any has ended."""

@@ -6,11 +6,11 @@ from collections.abc import Awaitable, Coroutine
 from typing import Any, TypeVar
 
 from fastapi import Request
-from isogi_worker.bake_requests import Viewer
 from starlette.requests import HTTPConnection
 
 from isogi_core.errors import Cancelled
 from isogi_server.bearers import bearer_of, client_of
+from isogi_worker.bake_requests import Viewer
 
 Result = TypeVar("Result")
 

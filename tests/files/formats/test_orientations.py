@@ -8,9 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from isogi_server.parameters import ViewParams, read
-from isogi_server.settings import Settings
-from isogi_server.views import view_of
 
 from isogi_core.files.formats.opening import open_file
 from isogi_core.files.grid import on_right_angles
@@ -18,6 +15,9 @@ from isogi_core.files.radiance import write_hdr
 from isogi_core.model.environment import pixel_directions
 from isogi_core.model.volume import Orientation
 from isogi_report.speed import make_renderer
+from isogi_server.parameters import ViewParams, read
+from isogi_server.settings import Settings
+from isogi_server.views import view_of
 from tests.files.formats.phantom import WAYS, affine, landmarks, letter, lying, world
 from tests.loaded import load_scene
 

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from isogi_server.answers import card_scene
 
 from isogi_core.bake.noise import Goal
 from isogi_core.bake.texel_light import FIRST_LEVEL
@@ -40,6 +39,7 @@ from isogi_core.kernels.shading.lattice import BURIED_GRADE, VOID_GRADE
 from isogi_core.model.view import View, quaternion_from_angles, rotation_matrix
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index
+from isogi_server.answers import card_scene
 from tests.card_twin import Twin, blocks_in, normal_of, read_coded
 from tests.frame.conftest import CONSTANT, LOOSE, SKY, Workbench, refine_chunk
 from tests.loaded import load_scene

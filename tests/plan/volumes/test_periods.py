@@ -6,7 +6,6 @@ from typing import Any
 import nrrd
 import numpy as np
 import pytest
-from isogi_server.inspect.inspection import stiffness_schema
 
 from isogi_core.errors import SceneError
 from isogi_core.files.cells import Cells, set_side_by_side
@@ -16,6 +15,7 @@ from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.volumes.masks import cut_away
 from isogi_core.plan.volumes.opening import open_beside
 from isogi_core.prepared.isosurface_mesh import surface_size
+from isogi_server.inspect.inspection import stiffness_schema
 
 LATTICE = np.array([[4.0, 0.0, 0.0], [2.0, 3.5, 0.0], [0.5, -1.0, 6.0]])
 """Vectors of a triclinic lattice, rows."""

@@ -5,9 +5,9 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from isogi_server.render.engine import RenderEngine
 
 from isogi_core.plan.assembly import load_scene
+from isogi_server.render.engine import RenderEngine
 
 
 @pytest.fixture

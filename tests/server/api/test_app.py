@@ -5,10 +5,10 @@ from typing import Any
 import httpx
 import pytest
 from fastapi import FastAPI
+
 from isogi_server.api.app import middleware
 from isogi_server.api.lifespan import Closing
 from isogi_server.render.metrics import Metrics
-
 from tests.server.asking import Ask
 from tests.server.sockets import settings_of
 

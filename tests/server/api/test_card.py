@@ -13,12 +13,6 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
-from isogi_server.answers import CARD_FORMAT
-from isogi_server.api.app import create_app
-from isogi_server.parameters import FrameParams, read
-from isogi_server.render.engine import RenderEngine
-from isogi_server.settings import Settings
-from isogi_server.views import view_of
 from websockets.asyncio.client import connect
 
 from isogi_core.frame import renderer
@@ -27,6 +21,12 @@ from isogi_core.frame.gbuffer import GBuffer, trace
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
+from isogi_server.answers import CARD_FORMAT
+from isogi_server.api.app import create_app
+from isogi_server.parameters import FrameParams, read
+from isogi_server.render.engine import RenderEngine
+from isogi_server.settings import Settings
+from isogi_server.views import view_of
 from tests.baking import bake_each_texel
 from tests.card_twin import Twin, blocks_in, voxels_of
 from tests.live import live, serving

@@ -12,14 +12,14 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
-from isogi_server.errors import UnknownSceneError
-from isogi_server.render.engine import RenderEngine
-from isogi_server.render.scene_variant import Change, SceneVariant
-from isogi_server.render.variants import Variants
 
 from isogi_core.model.lights import ENVIRONMENTS
 from isogi_core.model.view import read_window
 from isogi_core.plan.scene import Scene
+from isogi_server.errors import UnknownSceneError
+from isogi_server.render.engine import RenderEngine
+from isogi_server.render.scene_variant import Change, SceneVariant
+from isogi_server.render.variants import Variants
 from tests.loaded import load_scene
 from tests.server.asking import SMALL, final, numbers
 from tests.server.idle import idle_server

@@ -9,8 +9,8 @@ from typing import Any
 
 import httpx
 import pytest
-from isogi_server.api.routes.events import answers
 
+from isogi_server.api.routes.events import answers
 from tests.live import serving
 
 PATH = "/v1/scenes/small/events"

@@ -9,6 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
+from isogi_core.frame.known_blocks import Part
+from isogi_core.frame.tiles import Stopwatch
 from isogi_server.api.headers import (
     STAGES,
     Preferences,
@@ -22,9 +25,6 @@ from isogi_server.api.headers import (
 from isogi_server.api.routes.card import gzipped
 from isogi_server.parameters import FrameParams
 from isogi_worker.progress import TimeLeft
-
-from isogi_core.frame.known_blocks import Part
-from isogi_core.frame.tiles import Stopwatch
 
 ROOT = Path(__file__).resolve().parents[3]
 

@@ -8,6 +8,9 @@ from typing import Any, cast
 
 import httpx
 import pytest
+
+from isogi_core.errors import StoreError
+from isogi_core.plan.assembly import load_scene
 from isogi_server.api.app import create_app
 from isogi_server.api.routes.jobs import RESULTS, SCHEMA
 from isogi_server.errors import BusyError, UnknownJobError
@@ -16,9 +19,6 @@ from isogi_server.render.jobs import Job, Jobs, Result, Status
 from isogi_server.settings import Settings
 from isogi_worker.baker import Baker
 from isogi_worker.pool import WorkerPool
-
-from isogi_core.errors import StoreError
-from isogi_core.plan.assembly import load_scene
 from tests.client.lab import Broken
 from tests.live import live, serving
 from tests.server.idle import Idle, idle_server

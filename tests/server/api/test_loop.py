@@ -11,12 +11,12 @@ from typing import Any
 
 import httpx
 import pytest
+from websockets.sync.client import connect
+
 from isogi_server.api.service import PictureRequest, RenderThreads, Service
 from isogi_server.render.engine import RenderEngine
 from isogi_server.render.loaded_scene import LoadedScene
 from isogi_worker.baker import Baker
-from websockets.sync.client import connect
-
 from tests.server.idle import idle_server
 
 FIND = RenderEngine._find

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import httpx
 import pytest
-from isogi_server.logs import JsonLines
 
 from isogi_core.errors import VolumeError, readable
 from isogi_core.plan.assembly import load_scene
+from isogi_server.logs import JsonLines
 from tests.live import serving
 
 ROOT = Path(__file__).resolve().parents[3]

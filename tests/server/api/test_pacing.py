@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+
 from isogi_server.api.stream import (
     CLOSE_IDLE,
     CLOSE_POLICY,
@@ -24,7 +25,6 @@ from isogi_server.api.stream import (
 from isogi_server.errors import StreamError
 from isogi_server.render.scheduling import Place
 from isogi_server.settings import Patience, Settings
-
 from tests.server.loops import IN_NO_TIME
 
 

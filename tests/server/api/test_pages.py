@@ -8,13 +8,13 @@ from types import SimpleNamespace
 import httpx
 import pytest
 from fastapi import FastAPI
+from starlette.middleware import Middleware
+
+from isogi_core.kernels._compilation import KernelProgress
 from isogi_server.api.access import TokenBearers
 from isogi_server.api.lifespan import Closing
 from isogi_server.api.routes import pages as health
 from isogi_server.bearers import Bearer
-from starlette.middleware import Middleware
-
-from isogi_core.kernels._compilation import KernelProgress
 from tests.server.asking import Ask
 
 

@@ -8,12 +8,12 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
-from isogi_server.answers import scene_schema
 
 from isogi_core.model.choices import VIEW_SHADINGS
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.projection import SLIDER_STOPS
 from isogi_core.plan.variants import under
+from isogi_server.answers import scene_schema
 from tests.server.asking import numbers
 
 

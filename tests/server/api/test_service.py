@@ -13,6 +13,18 @@ import httpx
 import numpy as np
 import pytest
 from fastapi import FastAPI
+
+from isogi_core.errors import Cancelled, NoRoomError, StoreError
+from isogi_core.frame.frame import Frame, Quality
+from isogi_core.frame.gbuffer import GBuffer
+from isogi_core.frame.tiles import Stopwatch
+from isogi_core.kernels._compilation import KernelProgress
+from isogi_core.kernels.shading.framebuffer import CONVERGING, PROVISIONAL
+from isogi_core.model.view import View
+from isogi_core.plan.assembly import load_scene
+from isogi_core.plan.scene import Scene
+from isogi_core.prepared.prepared_scene import Index
+from isogi_core.storage.store import Store
 from isogi_server.api import service as service_module
 from isogi_server.api.app import create_app
 from isogi_server.api.lifespan import Startup
@@ -32,18 +44,6 @@ from isogi_server.views import view_of
 from isogi_worker.bake_requests import Viewer
 from isogi_worker.baker import Listener
 from isogi_worker.progress import TimeLeft
-
-from isogi_core.errors import Cancelled, NoRoomError, StoreError
-from isogi_core.frame.frame import Frame, Quality
-from isogi_core.frame.gbuffer import GBuffer
-from isogi_core.frame.tiles import Stopwatch
-from isogi_core.kernels._compilation import KernelProgress
-from isogi_core.kernels.shading.framebuffer import CONVERGING, PROVISIONAL
-from isogi_core.model.view import View
-from isogi_core.plan.assembly import load_scene
-from isogi_core.plan.scene import Scene
-from isogi_core.prepared.prepared_scene import Index
-from isogi_core.storage.store import Store
 from tests.server.sockets import wait_for
 
 FRAME = "/v1/scenes/orbital/frame"

@@ -10,14 +10,14 @@ from typing import Any
 
 import httpx
 import pytest
-from isogi_server.api import stream as window
-from isogi_server.render.engine import RenderEngine
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 
 from isogi_core.errors import Cancelled
 from isogi_core.frame.frame import Frame
 from isogi_core.model.view import View
+from isogi_server.api import stream as window
+from isogi_server.render.engine import RenderEngine
 from tests.server.asking import UPGRADE
 
 VIEW: dict[str, Any] = {"width": 48, "height": 40, "azimuth": 40}

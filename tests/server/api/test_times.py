@@ -9,13 +9,13 @@ from pathlib import Path
 import httpx
 import numpy as np
 import pytest
-from isogi_server.render.engine import RenderEngine
-from isogi_server.render.scene_variant import Change
-from isogi_server.render.variants import Variants
 
 from isogi_core.frame.frame import Frame
 from isogi_core.kernels.shading.framebuffer import PROVISIONAL
 from isogi_core.model.view import View
+from isogi_server.render.engine import RenderEngine
+from isogi_server.render.scene_variant import Change
+from isogi_server.render.variants import Variants
 from tests.live import serving
 from tests.loaded import load_scene
 from tests.series import SCENE, STEPS, write_series

@@ -8,15 +8,15 @@ from pathlib import Path
 import httpx
 import numpy as np
 import pytest
+
+from isogi_core.model.lights import ENVIRONMENTS
+from isogi_core.plan.assembly import load_scene
 from isogi_server.parameters import FrameParams
 from isogi_server.render.engine import RenderEngine
 from isogi_server.render.scene_variant import Change
 from isogi_server.render.variants import Variants
 from isogi_server.settings import Settings
 from isogi_server.views import view_of
-
-from isogi_core.model.lights import ENVIRONMENTS
-from isogi_core.plan.assembly import load_scene
 from tests.server.asking import SMALL, final, numbers
 from tests.server.sockets import pictures_on
 

@@ -3,6 +3,7 @@
 import shlex
 
 import click
+
 from isogi_server.cli.command import cli
 
 

@@ -15,18 +15,18 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
-from isogi_server.cli.command import VIEW_OPTIONS, WORK_OPTIONS, run
-from isogi_server.cli.reel import Reel
-from isogi_server.cli.render import rendered, stopped_by
-from isogi_server.parameters import FrameParams, read
-from isogi_server.progress import open_scene
-from isogi_server.settings import Settings
 from PIL import Image
 
 from isogi_core.files.radiance import write_hdr
 from isogi_core.model.view import Camera, View
 from isogi_core.plan.assembly import load_scene
 from isogi_core.storage.atomic_file import write_whole
+from isogi_server.cli.command import VIEW_OPTIONS, WORK_OPTIONS, run
+from isogi_server.cli.reel import Reel
+from isogi_server.cli.render import rendered, stopped_by
+from isogi_server.parameters import FrameParams, read
+from isogi_server.progress import open_scene
+from isogi_server.settings import Settings
 from tests.server.asking import Told
 
 SIZE = ["--width", "24", "--height", "20"]

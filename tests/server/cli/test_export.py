@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from isogi_server.cli.export import size_of
 
 from isogi_core.plan.assembly import load_scene
+from isogi_server.cli.export import size_of
 from tests.files.formats.phantom import letter
 from tests.server.asking import Told
 

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
+
 from isogi_server.cli.film_path import film_path, view_in, views_in
 from isogi_server.cli.reel import ReelRequest, time_of_others
 from isogi_server.errors import ParameterError
-from PIL import Image
-
 from tests.loaded import load_scene
 from tests.server.asking import Told
 

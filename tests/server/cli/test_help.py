@@ -7,11 +7,11 @@ from pathlib import Path
 
 import click
 import pytest
+
 from isogi_server.cli.command import cli, run
 from isogi_server.cli.help import EXAMPLES, FIRST_HEADING, group_of
 from isogi_server.cli.setting_options import SECRET_SETTINGS, flag, rows, variable
 from isogi_server.settings import Settings
-
 from tests.server.cli.lines import parsed
 
 DOCUMENT = Path(__file__).resolve().parents[3] / "docs" / "settings.md"

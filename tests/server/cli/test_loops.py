@@ -5,9 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
+
 from isogi_server.cli.film import write_movie
 from isogi_server.cli.loops import LONGEST_MILLISECONDS
-from PIL import Image
 
 SIZE = (41, 30)
 

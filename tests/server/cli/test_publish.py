@@ -5,11 +5,11 @@ import re
 from pathlib import Path
 
 import pytest
-from isogi_server.cli.publish import first_place, ground_colour, sliders_of, values_in
-from isogi_server.errors import ParameterError
 from PIL import Image
 
 from isogi_core.plan.isovalue_presets import front_of
+from isogi_server.cli.publish import first_place, ground_colour, sliders_of, values_in
+from isogi_server.errors import ParameterError
 from tests.loaded import load_scene
 from tests.server.asking import Told
 

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from isogi_server.exports.page_files import imports, joined_modules, module_order
 
 from isogi_core.frame.card.coding import Coding
+from isogi_server.exports.page_files import imports, joined_modules, module_order
 from tests.card_twin import read_coded
 from tests.published import document_in, files_in
 from tests.server.asking import Told

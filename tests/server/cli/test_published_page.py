@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from isogi_server.cli.publish import page_of, shots_of, sliders_of
-from isogi_server.cli.reel import Reel
 from PIL import Image
 from playwright.sync_api import Browser, Page
 
+from isogi_server.cli.publish import page_of, shots_of, sliders_of
+from isogi_server.cli.reel import Reel
 from tests.loaded import load_scene
 from tests.web.visits import BROWSER
 

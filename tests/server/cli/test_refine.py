@@ -6,12 +6,12 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from isogi_server.cli import render
-from isogi_worker.errors import WorkersError
-from isogi_worker.progress import TimeLeft
 
 from isogi_core.errors import Cancelled
 from isogi_core.model.view import Camera, View
+from isogi_server.cli import render
+from isogi_worker.errors import WorkersError
+from isogi_worker.progress import TimeLeft
 
 VIEW = View(0.5, Camera((5.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
 

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from isogi_server.cli.film_path import steps_in
-from isogi_server.errors import ParameterError
 from PIL import Image
 
+from isogi_server.cli.film_path import steps_in
+from isogi_server.errors import ParameterError
 from tests.loaded import load_scene
 from tests.series import write_series
 from tests.server.asking import Told

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from isogi_server.cli.command import run
 
 from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.cache.chunk_store import ChunkStore
+from isogi_server.cli.command import run
 from tests.cache.chunks import baked, file_of, spec_of
 from tests.server.asking import Told
 

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from isogi_server.cli.command import run
 from scipy.special import sph_harm_y
 
 from isogi_core.model.environment import pixel_directions
 from isogi_core.plan.assembly import load_scene
+from isogi_server.cli.command import run
 from tests.server.jobs import baking, until_over
 
 SCENE = """\

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import httpx
 import pytest
+
 from isogi_server.errors import FullError, UnknownResultError
 from isogi_server.render.jobs import ExportFolder
-
 from tests.server.asking import Told
 from tests.server.idle import Idle, idle_server
 from tests.server.inline import LONG

@@ -16,6 +16,11 @@ from typing import Any
 import nrrd
 import numpy as np
 import pytest
+from PIL import Image
+
+from isogi_core.model.volume import make_volume
+from isogi_core.plan.assembly import load_scene
+from isogi_core.plan.scene import Scene
 from isogi_server.inspect.inspection import (
     ISOVALUES,
     InspectionSchema,
@@ -29,11 +34,6 @@ from isogi_server.inspect.inspection import (
     remarks,
 )
 from isogi_server.inspect.text import LEAD_COLUMNS, full_text, inspect, shown_places
-from PIL import Image
-
-from isogi_core.model.volume import make_volume
-from isogi_core.plan.assembly import load_scene
-from isogi_core.plan.scene import Scene
 from tests.server.asking import Told
 
 needs_matplotlib = pytest.mark.skipif(

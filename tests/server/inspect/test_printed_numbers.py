@@ -9,16 +9,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from isogi_server.inspect.inspection import inspection_schema
-from isogi_server.inspect.text import brief, full_text
-from isogi_server.parameters import ViewParams, read
-from isogi_server.settings import Settings
-from isogi_server.views import view_of
 
 from isogi_core.frame.gbuffer import trace
 from isogi_core.frame.tiles import Tiles
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
+from isogi_server.inspect.inspection import inspection_schema
+from isogi_server.inspect.text import brief, full_text
+from isogi_server.parameters import ViewParams, read
+from isogi_server.settings import Settings
+from isogi_server.views import view_of
 from tests.loaded import load_scene
 
 Z, Y, X = np.mgrid[:16, :18, :20]

@@ -13,6 +13,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+
+from isogi_core.bake.texel_light import FIRST_LEVEL
+from isogi_core.frame import projected_texels
+from isogi_core.frame.rays.picture_plan import SHARED_PRICES
+from isogi_core.kernels.shading.framebuffer import CONVERGING
+from isogi_core.plan.assembly import load_scene
 from isogi_server.api.prewarm_jobs import RecordAges
 from isogi_server.cli.prewarm import prewarm
 from isogi_server.prewarm.order import Views, order_of
@@ -23,12 +29,6 @@ from isogi_worker import pool
 from isogi_worker.errors import WorkersError
 from isogi_worker.pool import Done
 from isogi_worker.tasks import BakeTask
-
-from isogi_core.bake.texel_light import FIRST_LEVEL
-from isogi_core.frame import projected_texels
-from isogi_core.frame.rays.picture_plan import SHARED_PRICES
-from isogi_core.kernels.shading.framebuffer import CONVERGING
-from isogi_core.plan.assembly import load_scene
 from tests.server.asking import Told
 from tests.server.inline import InlinePool, chunks_in, view_of, weigh_at
 

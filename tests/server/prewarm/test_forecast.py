@@ -9,18 +9,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from isogi_server.prewarm.baking import FEWEST_TRIED, MOST_TRIED, forecast, rehearse, stratified
-from isogi_server.render.engine import RenderEngine
-from isogi_worker import bake_requests
-from isogi_worker.bake_requests import Viewer
-from isogi_worker.progress import ChunkCost, extrapolated
-from isogi_worker.tasks import BakeTask
 
 from isogi_core.bake.noise import Effort, Goal
 from isogi_core.frame.demand import Demand
 from isogi_core.frame.texel_reading import Stage
 from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.plan.assembly import load_scene
+from isogi_server.prewarm.baking import FEWEST_TRIED, MOST_TRIED, forecast, rehearse, stratified
+from isogi_server.render.engine import RenderEngine
+from isogi_worker import bake_requests
+from isogi_worker.bake_requests import Viewer
+from isogi_worker.progress import ChunkCost, extrapolated
+from isogi_worker.tasks import BakeTask
 from tests.server.inline import LONG, InlinePool, view_of
 
 

@@ -11,13 +11,13 @@ from typing import Any
 
 import httpx
 import pytest
+
+from isogi_core.plan.assembly import load_scene
 from isogi_server.cli.prewarm import prewarm
 from isogi_server.prewarm.order import order_of
 from isogi_server.prewarm.record import recorded_prewarms
 from isogi_server.settings import Settings
 from isogi_worker.bake_requests import GUEST_VIEWER
-
-from isogi_core.plan.assembly import load_scene
 from tests.server.idle import Idle, idle_server
 from tests.server.inline import LONG, chunks_in
 from tests.server.jobs import baking, until_over

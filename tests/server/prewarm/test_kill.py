@@ -12,16 +12,16 @@ from pathlib import Path
 
 import psutil
 import pytest
-from isogi_server.cli.prewarm import prewarm
-from isogi_server.prewarm.order import order_of
-from isogi_server.prewarm.record import Summary, recorded_prewarms
-from isogi_server.settings import Settings
 
 from isogi_core.bake.bake_spec import spec_for
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache.chunk_store import ChunkStore
 from isogi_core.plan.assembly import load_scene
 from isogi_core.prepared.prepared_scene import PreparedScene
+from isogi_server.cli.prewarm import prewarm
+from isogi_server.prewarm.order import order_of
+from isogi_server.prewarm.record import Summary, recorded_prewarms
+from isogi_server.settings import Settings
 from tests.server.asking import Told
 from tests.server.inline import LONG, chunks_in
 from tests.server.sockets import wait_for

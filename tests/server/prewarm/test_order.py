@@ -6,6 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+
+from isogi_core.errors import ViewError
+from isogi_core.plan.assembly import load_scene
 from isogi_server.cli.prewarm import fields_given
 from isogi_server.errors import ParameterError
 from isogi_server.prewarm.order import (
@@ -18,9 +21,6 @@ from isogi_server.prewarm.order import (
     order_of,
 )
 from isogi_server.settings import Settings
-
-from isogi_core.errors import ViewError
-from isogi_core.plan.assembly import load_scene
 
 
 def test_directions_are_spread_evenly() -> None:

@@ -14,6 +14,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+
+from isogi_core.bake.texel_light import FIRST_LEVEL
+from isogi_core.errors import Cancelled
+from isogi_core.frame.rays.picture_plan import COUNTED_TEXEL_SHARE, SHARED_PRICES, Prices
+from isogi_core.model.view import View
+from isogi_core.plan.assembly import load_scene
+from isogi_core.plan.reachable_texels import surface_texels
 from isogi_server.api.prewarm_jobs import Prewarm
 from isogi_server.cli import prewarm as command
 from isogi_server.cli.prewarm import prewarm
@@ -23,13 +30,6 @@ from isogi_server.prewarm.record import Record, Summary
 from isogi_server.prewarm.work import Pictures
 from isogi_server.render.engine import RenderEngine
 from isogi_server.settings import Settings
-
-from isogi_core.bake.texel_light import FIRST_LEVEL
-from isogi_core.errors import Cancelled
-from isogi_core.frame.rays.picture_plan import COUNTED_TEXEL_SHARE, SHARED_PRICES, Prices
-from isogi_core.model.view import View
-from isogi_core.plan.assembly import load_scene
-from isogi_core.plan.reachable_texels import surface_texels
 from tests.baking import bake_each_texel
 from tests.server.inline import LONG, chunks_in, weigh_at
 

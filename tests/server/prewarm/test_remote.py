@@ -7,10 +7,10 @@ from pathlib import Path
 
 import httpx
 import pytest
-from isogi_server.cli.command import run
-from isogi_server.prewarm.record import Summary
 
 import isogi.client as isogi_client
+from isogi_server.cli.command import run
+from isogi_server.prewarm.record import Summary
 from tests.client.lab import TOKEN, Lab, lab_of
 from tests.server.asking import Told
 from tests.server.inline import LONG, chunks_in

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from isogi_server.render.engine import RenderEngine
-from isogi_worker import pool
 
 from isogi_core.plan.scene import Scene
+from isogi_server.render.engine import RenderEngine
+from isogi_worker import pool
 from tests.server.buckets import Begin, engine_at, picture
 from tests.server.inline import InlinePool, chunks_in
 

@@ -5,9 +5,9 @@ from collections.abc import Hashable
 from contextlib import suppress
 
 import pytest
+
 from isogi_server.errors import BusyError
 from isogi_server.render.scheduling import AdmissionLimit, Place
-
 from tests.server.loops import IN_NO_TIME
 
 

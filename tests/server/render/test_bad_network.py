@@ -13,12 +13,12 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 import pytest
-from isogi_server.render.engine import RenderEngine
 
 from isogi_core.errors import StoreError
 from isogi_core.plan.assembly import load_scene
 from isogi_core.storage.backend import StoreUrl
 from isogi_core.storage.store import Store
+from isogi_server.render.engine import RenderEngine
 from tests.cluster.processes import until
 from tests.proxy import Harm, Proxy
 from tests.server.buckets import chunks_at, killed_when

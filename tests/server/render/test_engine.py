@@ -15,13 +15,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from isogi_server.cli.render import draw_refined
-from isogi_server.render.engine import RenderEngine
-from isogi_server.render.picture_checks import CHECK, LIGHT_PATIENCE_SECONDS
-from isogi_server.render.stores import StoreProbe, whereabouts
-from isogi_worker import pool
-from isogi_worker.bake_requests import GUEST_VIEWER
-from isogi_worker.errors import WorkersAwayError, WorkersError
 
 from isogi_core.errors import Cancelled, StoreError
 from isogi_core.frame.entry_kernels import FRAME, LOBES
@@ -40,6 +33,13 @@ from isogi_core.plan.scene import Scene
 from isogi_core.prepared.shared_scenes import SharedScene
 from isogi_core.storage import folder
 from isogi_core.storage.backend import StoreUrl
+from isogi_server.cli.render import draw_refined
+from isogi_server.render.engine import RenderEngine
+from isogi_server.render.picture_checks import CHECK, LIGHT_PATIENCE_SECONDS
+from isogi_server.render.stores import StoreProbe, whereabouts
+from isogi_worker import pool
+from isogi_worker.bake_requests import GUEST_VIEWER
+from isogi_worker.errors import WorkersAwayError, WorkersError
 from tests.scale import COMPILED
 from tests.server.buckets import Begin
 from tests.server.inline import LONG, InlinePool, chunks_in, view_of

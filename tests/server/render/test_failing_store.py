@@ -11,7 +11,6 @@ from pathlib import Path
 import nrrd
 import numpy as np
 import pytest
-from isogi_server.render.engine import RenderEngine
 
 from isogi_core.errors import StoreError
 from isogi_core.frame.frame import Frame
@@ -19,6 +18,7 @@ from isogi_core.kernels.shading.framebuffer import FINAL
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.store import Store
+from isogi_server.render.engine import RenderEngine
 from tests.server.failing import Failing, failing_bucket, failing_folder
 from tests.server.inline import LONG, view_of
 

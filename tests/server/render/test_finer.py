@@ -6,9 +6,6 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-from isogi_server.api.headers import refined_header
-from isogi_server.render.engine import RenderEngine
-from isogi_worker.bake_requests import GUEST_VIEWER
 
 from isogi_core.cache.upkeep import census_of
 from isogi_core.errors import NoRoomError
@@ -19,6 +16,9 @@ from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.plan.variants import finer
+from isogi_server.api.headers import refined_header
+from isogi_server.render.engine import RenderEngine
+from isogi_worker.bake_requests import GUEST_VIEWER
 from tests.server.inline import LONG, weigh_at
 from tests.server.inline import view_of as small_view_of
 

@@ -12,15 +12,15 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+
+from isogi_core.kernels._compilation import KernelProgress
+from isogi_core.plan.scene import Scene
 from isogi_server.errors import UnknownSceneError
 from isogi_server.render import loaded_scene, scene_kernels
 from isogi_server.render.engine import RenderEngine
 from isogi_server.render.loaded_scene import IDLE_SCENE_SECONDS, LoadedScenes
 from isogi_server.render.scene_kernels import SceneKernels
 from isogi_worker import pool
-
-from isogi_core.kernels._compilation import KernelProgress
-from isogi_core.plan.scene import Scene
 from tests.loaded import load_scene
 from tests.server.inline import LONG, InlinePool, view_of
 

@@ -7,9 +7,6 @@ from pathlib import Path
 
 import httpx
 import pytest
-from isogi_server.errors import BusyError, ForbiddenError, ParameterError
-from isogi_server.problems import refusal
-from isogi_server.render.metrics import Metrics, StoreCollector
 from prometheus_client import CollectorRegistry
 from prometheus_client.parser import text_string_to_metric_families
 from websockets.asyncio.client import connect
@@ -18,6 +15,9 @@ from isogi_core.errors import DamagedChunkError, StoreAwayError
 from isogi_core.storage.calls import CountedBackend
 from isogi_core.storage.folder import Folder
 from isogi_core.storage.store import Store
+from isogi_server.errors import BusyError, ForbiddenError, ParameterError
+from isogi_server.problems import refusal
+from isogi_server.render.metrics import Metrics, StoreCollector
 from tests.server.sockets import wait_for
 
 DOCUMENT = Path(__file__).resolve().parents[3] / "docs" / "metrics.md"

@@ -3,14 +3,14 @@
 from dataclasses import replace
 
 import pytest
-from isogi_server.render.engine import RenderEngine, time_of_paths
-from isogi_worker.progress import TimeLeft
 
 from isogi_core.cache.costs import Cost
 from isogi_core.frame.rays.picture_plan import HEAVIER
 from isogi_core.frame.view_checks import PathsLeft
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
+from isogi_server.render.engine import RenderEngine, time_of_paths
+from isogi_worker.progress import TimeLeft
 from tests.server.inline import LONG, view_of
 
 TARGET = 0.05

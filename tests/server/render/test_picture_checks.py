@@ -6,12 +6,12 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import pytest
-from isogi_server.render import picture_checks
-from isogi_server.render.picture_checks import MAX_WAITING_PICTURES, PictureChecks
-from isogi_worker.bake_requests import Viewer
 
 from isogi_core.errors import Cancelled
 from isogi_core.model.view import Camera, View
+from isogi_server.render import picture_checks
+from isogi_server.render.picture_checks import MAX_WAITING_PICTURES, PictureChecks
+from isogi_worker.bake_requests import Viewer
 
 VIEW = View(0.5, Camera((5.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
 ONE = Viewer("one", 1)

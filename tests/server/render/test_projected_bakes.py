@@ -10,12 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from isogi_server.api.headers import projection_header
-from isogi_server.pictures import planes
-from isogi_server.render import bakes as room
-from isogi_server.render.bakes import SideBakes, share_nothing
-from isogi_server.render.engine import RenderEngine
-from isogi_worker.bake_requests import GUEST_VIEWER
 
 from isogi_core.bake.noise import Goal
 from isogi_core.bake.texel_light import FIRST_LEVEL
@@ -30,6 +24,12 @@ from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index, PreparedScene
 from isogi_core.storage.store import Store
+from isogi_server.api.headers import projection_header
+from isogi_server.pictures import planes
+from isogi_server.render import bakes as room
+from isogi_server.render.bakes import SideBakes, share_nothing
+from isogi_server.render.engine import RenderEngine
+from isogi_worker.bake_requests import GUEST_VIEWER
 from tests.server.inline import LONG, view_of
 
 

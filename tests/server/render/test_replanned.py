@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from isogi_server.render.engine import RenderEngine
 
 from isogi_core.frame.frame import Frame
 from isogi_core.kernels.shading.framebuffer import PROVISIONAL
 from isogi_core.model.scene_plan import MIN_SAMPLES, ScenePlan, most_samples
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
+from isogi_server.render.engine import RenderEngine
 from tests.baking import bake_each_texel
 from tests.server.inline import chunks_in, view_of
 

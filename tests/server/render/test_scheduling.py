@@ -9,6 +9,10 @@ from collections.abc import AsyncIterator, Iterator
 from contextlib import suppress
 
 import pytest
+
+from isogi_core.errors import Cancelled
+from isogi_core.frame.tiles import Interruption
+from isogi_core.prepared.prepared_scene import Index
 from isogi_server.errors import BusyError
 from isogi_server.logs import REQUEST_ID
 from isogi_server.render import update_bus
@@ -24,10 +28,6 @@ from isogi_server.render.scheduling import (
     Renders,
 )
 from isogi_server.render.update_bus import UpdateBus
-
-from isogi_core.errors import Cancelled
-from isogi_core.frame.tiles import Interruption
-from isogi_core.prepared.prepared_scene import Index
 from tests.server.loops import IN_NO_TIME
 
 

@@ -9,11 +9,6 @@ from queue import Queue
 from typing import Any
 
 import pytest
-from isogi_server.answers import scene_schema
-from isogi_server.cli.render import awaited
-from isogi_server.render.engine import RenderEngine
-from isogi_server.render.picture_checks import CHECK
-from isogi_worker.bake_requests import GUEST_VIEWER
 
 from isogi_core.errors import ReportError
 from isogi_core.frame.frame import Frame
@@ -22,6 +17,11 @@ from isogi_core.kernels.shading.framebuffer import PROVISIONAL
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene
 from isogi_report.bench import Bench
+from isogi_server.answers import scene_schema
+from isogi_server.cli.render import awaited
+from isogi_server.render.engine import RenderEngine
+from isogi_server.render.picture_checks import CHECK
+from isogi_worker.bake_requests import GUEST_VIEWER
 from tests.server.inline import LONG
 
 HALO = {"isovalue": 0.012, "clear": 0.6, "albedo": [0.4, 0.6, 0.9], "name": "halo"}

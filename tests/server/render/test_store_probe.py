@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from isogi_server.render import stores
-from isogi_server.render.loaded_scene import shared
-from isogi_server.render.stores import FINDING_SECONDS, StoreProbe
 
 from isogi_core.storage import folder
 from isogi_core.storage.store import Store
+from isogi_server.render import stores
+from isogi_server.render.loaded_scene import shared
+from isogi_server.render.stores import FINDING_SECONDS, StoreProbe
 from tests.worker.clock import Clock
 
 

@@ -19,6 +19,12 @@ from typing import Any
 
 import httpx
 import pytest
+
+from isogi_core.errors import StoreAwayError
+from isogi_core.plan.assembly import load_scene
+from isogi_core.storage.backend import StoreUrl
+from isogi_core.storage.folder import Copies
+from isogi_core.storage.store import Store
 from isogi_server.api.app import create_app
 from isogi_server.api.routes import frames as completion
 from isogi_server.api.routes.events import resumed
@@ -28,12 +34,6 @@ from isogi_server.settings import Settings
 from isogi_worker import pool
 from isogi_worker.pool import Done
 from isogi_worker.tasks import BakeTask
-
-from isogi_core.errors import StoreAwayError
-from isogi_core.plan.assembly import load_scene
-from isogi_core.storage.backend import StoreUrl
-from isogi_core.storage.folder import Copies
-from isogi_core.storage.store import Store
 from tests.live import live
 from tests.s3 import ACCESS_KEY, SECRET_KEY, Call, Fault, S3Server
 from tests.server.inline import LONG, InlinePool, chunks_in, view_of

@@ -12,12 +12,12 @@ from types import SimpleNamespace
 import nrrd
 import numpy as np
 import pytest
+
 from isogi_server.errors import BusyError, ParameterError
 from isogi_server.render import variants as module
 from isogi_server.render.engine import RenderEngine
 from isogi_server.render.scene_variant import Change, SceneVariant
 from isogi_server.render.variants import Variants
-
 from tests.loaded import load_scene
 
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 from fastapi import FastAPI
-from isogi_server.api.app import create_app
 
+from isogi_server.api.app import create_app
 from tests.server.sockets import settings_of
 from tests.server.uploads.site import (
     PATIENT,

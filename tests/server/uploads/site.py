@@ -7,15 +7,15 @@ from pathlib import Path
 import httpx
 import pytest
 from fastapi import FastAPI
+
+from isogi_core.plan.assembly import load_scene
+from isogi_core.plan.scene import Scene
+from isogi_core.storage.store import Store
 from isogi_server.api.app import create_app
 from isogi_server.render.engine import RenderEngine
 from isogi_server.render.scene_variant import SceneVariant
 from isogi_server.settings import Settings
 from isogi_worker import pool
-
-from isogi_core.plan.assembly import load_scene
-from isogi_core.plan.scene import Scene
-from isogi_core.storage.store import Store
 from tests.live import live
 from tests.server.inline import InlinePool
 from tests.server.uploads.files import ball

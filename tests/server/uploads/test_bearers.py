@@ -8,14 +8,14 @@ from typing import Any
 
 import pytest
 from fastapi import FastAPI
+from pydantic import ValidationError
+from starlette.requests import Request
+
 from isogi_server.api.access import needed_scope
 from isogi_server.api.service import Service
 from isogi_server.bearers import BEARER_SCOPE_KEY, Bearer, read_bearers
 from isogi_server.render.viewers import request_viewer, stream_viewer
 from isogi_server.settings import Settings
-from pydantic import ValidationError
-from starlette.requests import Request
-
 from tests.server.asking import Ask
 from tests.server.uploads.files import ball, names
 from tests.server.uploads.site import Poster

@@ -9,11 +9,11 @@ from pathlib import Path
 import httpx
 import numpy as np
 import pytest
-from isogi_server.uploads.folder import MAX_PROBE_SHAPE, read_environment
 
 from isogi_core.files.probes import EXR_LIBRARY
 from isogi_core.files.radiance import read_hdr, write_hdr
 from isogi_core.model.environment import mean_radiance
+from isogi_server.uploads.folder import MAX_PROBE_SHAPE, read_environment
 from tests.server.uploads.site import Site
 
 LIGHTS = "/v1/environments"

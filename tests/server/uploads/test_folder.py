@@ -14,6 +14,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
+from isogi_core.files.formats.opening import open_file
+from isogi_core.files.grid import Grid, LabelName
 from isogi_server.errors import FullError
 from isogi_server.uploads.folder import (
     NRRD_TYPES,
@@ -23,9 +26,6 @@ from isogi_server.uploads.folder import (
     read_volume,
     write,
 )
-
-from isogi_core.files.formats.opening import open_file
-from isogi_core.files.grid import Grid, LabelName
 from tests.loaded import read_nrrd
 from tests.server.uploads.files import names
 

@@ -13,12 +13,12 @@ from pathlib import Path
 import nrrd
 import numpy as np
 import pytest
-from isogi_server.uploads.folder import read_volume
-from isogi_server.uploads.uploads import PYTHON_ROOT
 
 from isogi_core.files.formats.opening import open_file
 from isogi_core.files.grid import LabelName, on_right_angles
 from isogi_core.model.volume import Orientation
+from isogi_server.uploads.folder import read_volume
+from isogi_server.uploads.uploads import PYTHON_ROOT
 from tests.files.formats.every_kind import F, written
 from tests.files.formats.phantom import ORIGIN, STEPS
 from tests.loaded import load_scene

@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+
+from isogi_core.files.radiance import encode_rgbe
 from isogi_server.uploads import uploads
 from isogi_server.uploads.folder import ENVIRONMENT_KIND
 from isogi_server.uploads.sandbox import lacking
 from isogi_server.uploads.uploads import PYTHON_ROOT, Reader
-
-from isogi_core.files.radiance import encode_rgbe
 from tests.server.asking import Ask
 from tests.server.uploads import claims
 from tests.server.uploads.files import ball

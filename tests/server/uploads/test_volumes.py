@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+
+from isogi_core.errors import StoreError
 from isogi_server.errors import UploadFolderError
 from isogi_server.settings import Settings
 from isogi_server.uploads.folder import SCENE_BYTES, UploadFolder
-
-from isogi_core.errors import StoreError
 from tests.server.asking import Ask
 from tests.server.uploads.files import FIELDS, ball, headed, names
 from tests.server.uploads.site import Open, Poster, client_of

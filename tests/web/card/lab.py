@@ -14,8 +14,6 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
-from isogi_server.answers import card_scene
-from isogi_server.exports.page_files import SHADERS, shaders
 from playwright.sync_api import Browser, Page
 
 from isogi_core.bake.noise import Goal
@@ -26,6 +24,8 @@ from isogi_core.frame.known_blocks import LEVEL
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import Camera, Quaternion, View, quaternion_from_angles
+from isogi_server.answers import card_scene
+from isogi_server.exports.page_files import SHADERS, shaders
 
 WEB = Path(__file__).resolve().parents[3] / "web" / "isogi_web"
 HERE = Path(__file__).resolve().parent

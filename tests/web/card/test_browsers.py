@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from playwright.sync_api import Browser
+
+from isogi_core.plan.assembly import load_scene
 from isogi_server.api.app import create_app
 from isogi_server.cli.command import run
 from isogi_server.render.engine import RenderEngine
 from isogi_server.settings import Settings
 from isogi_worker import pool
-from playwright.sync_api import Browser
-
-from isogi_core.plan.assembly import load_scene
 from tests.live import live
 from tests.server.inline import InlinePool
 from tests.web.browsers import Driven, Size, free_port, missing, opened

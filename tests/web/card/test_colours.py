@@ -8,12 +8,12 @@ from typing import Any
 import nrrd
 import numpy as np
 import pytest
-from isogi_server.answers import card_scene
 
 from isogi_core.frame.card.colour_codes import ColourCodes
 from isogi_core.frame.film import develop, ground_of
 from isogi_core.model.view import View, read_window
 from isogi_core.plan.scene import Scene
+from isogi_server.answers import card_scene
 from tests.frame.conftest import CONSTANT, LOOSE, SKY, Workbench
 from tests.loaded import load_scene
 from tests.web.card.conftest import Make

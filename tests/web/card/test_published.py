@@ -8,12 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from isogi_server.cli.command import run
-from isogi_server.cli.publish_live import LIGHT_TARGET_SHARE
-from isogi_server.parameters import FrameParams, read
-from isogi_server.settings import Settings
-from isogi_server.views import view_of
-from isogi_worker import pool
 from PIL import Image
 from playwright.sync_api import Browser, Page
 
@@ -24,6 +18,12 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.plan.assembly import load_scene
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.storage.store import Store
+from isogi_server.cli.command import run
+from isogi_server.cli.publish_live import LIGHT_TARGET_SHARE
+from isogi_server.parameters import FrameParams, read
+from isogi_server.settings import Settings
+from isogi_server.views import view_of
+from isogi_worker import pool
 from tests.published import document_in
 from tests.server.inline import InlinePool
 from tests.web.plain_server import shared

@@ -11,7 +11,6 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Header, Request, Response
 from fastapi.sse import EventSourceResponse, format_sse_event
-from isogi_worker.bake_requests import Viewer
 
 from isogi_core.errors import StoreError
 from isogi_core.frame.frame import Frame
@@ -32,6 +31,7 @@ from isogi_server.problems import documented_problems
 from isogi_server.render.engine import Unfinished
 from isogi_server.render.viewers import stream_viewer
 from isogi_server.schemas import TimeLeftSchema
+from isogi_worker.bake_requests import Viewer
 
 router = APIRouter(prefix="/v1/scenes/{scene}", tags=["frames"])
 EVENTS_DESCRIPTION = (

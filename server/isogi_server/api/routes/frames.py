@@ -9,8 +9,6 @@ from typing import Any
 from urllib.parse import urlencode
 
 from fastapi import APIRouter, Request, Response
-from isogi_worker.bake_requests import Viewer
-from isogi_worker.errors import WorkersError
 from starlette.responses import StreamingResponse
 from starlette.types import Message, Send
 
@@ -40,6 +38,8 @@ from isogi_server.render.jobs import Job, Result
 from isogi_server.render.scheduling import REFINEMENT_PATIENCE, REQUEST_PATIENCE, Room
 from isogi_server.render.viewers import background_viewer, request_viewer, stream_viewer
 from isogi_server.schemas import CameraSchema, Coverage
+from isogi_worker.bake_requests import Viewer
+from isogi_worker.errors import WorkersError
 
 SLOWEST_PART = 5.0
 """Seconds for which a client may take nothing of its answer while other answers wait."""

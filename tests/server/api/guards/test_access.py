@@ -4,12 +4,12 @@ shows.
 
 import pytest
 from fastapi import FastAPI
-from isogi_server.api.access import KnownHosts, KnownOrigins, Token, TokenBearers
-from isogi_server.bearers import Bearer
-from isogi_server.settings import LOOPBACK_HOSTS
 from starlette.datastructures import Headers
 from starlette.responses import Response
 
+from isogi_server.api.access import KnownHosts, KnownOrigins, Token, TokenBearers
+from isogi_server.bearers import Bearer
+from isogi_server.settings import LOOPBACK_HOSTS
 from tests.server.api.guards.handshakes import Guarded, handshake, status
 from tests.server.asking import Ask
 

@@ -11,11 +11,11 @@ from typing import Any
 
 import pytest
 from fastapi import WebSocket
+from starlette.websockets import WebSocketDisconnect
+
 from isogi_server.api import connections
 from isogi_server.api.connections import too_many
 from isogi_server.settings import Patience, Settings
-from starlette.websockets import WebSocketDisconnect
-
 from tests.server.asking import UPGRADE
 from tests.server.sockets import (
     HEAD,

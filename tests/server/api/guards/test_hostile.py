@@ -9,8 +9,8 @@ from urllib.parse import urlsplit
 
 import httpx
 import pytest
-from isogi_server.parameters import FrameParams
 
+from isogi_server.parameters import FrameParams
 from tests.server.sockets import answer, status
 
 NUMBERS = [

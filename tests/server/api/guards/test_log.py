@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 import pytest
 from fastapi import WebSocket
+
 from isogi_server import problems
 from isogi_server.problems import problem
-
 from tests.server.sockets import Running, answer, running, small_app, status, wait_for
 
 KEY = b"Sec-WebSocket-Key: x3JJHMbDL1EzLkh9GBhXDw==\r\nSec-WebSocket-Version: 13\r\n"

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 from fastapi import Request
-from isogi_server.settings import Settings
 
+from isogi_server.settings import Settings
 from tests.server.sockets import Running, answer, running, small_app, wait_for
 
 FORGED = (

@@ -7,11 +7,11 @@ from collections.abc import AsyncIterator
 
 import pytest
 from fastapi import FastAPI
+from starlette.datastructures import Headers
+
 from isogi_server import problems
 from isogi_server.api.requests import HeadAsGet, Requests, SafeHeaders, SmallBodies
 from isogi_server.render.metrics import Metrics
-from starlette.datastructures import Headers
-
 from tests.server.api.guards.handshakes import Guarded, handshake
 from tests.server.asking import Ask
 

@@ -8,9 +8,9 @@ from collections.abc import AsyncIterator
 
 import pytest
 from fastapi import FastAPI, Request
-from isogi_server.cli.serve import queued
 from starlette.responses import StreamingResponse
 
+from isogi_server.cli.serve import queued
 from tests.server.sockets import HEAD, Running, answer, running, small_app, status, wait_for
 
 

@@ -14,8 +14,8 @@ from pathlib import Path
 import httpx
 import psutil
 import pytest
-from isogi_worker.fork_server import WORKER_PROCESS_NAME
 
+from isogi_worker.fork_server import WORKER_PROCESS_NAME
 from tests.cluster.processes import free_port
 from tests.server.sockets import wait_for
 
