@@ -12,7 +12,7 @@ from isogi_core.bake.noise import RATE, Goal
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import surface_key
-from isogi_core.frame.rays.carried_light import TracedLight, TracedPoints, carried_key
+from isogi_core.frame.rays.carried_light import MOST_CHANGE, TracedLight, TracedPoints, carried_key
 from isogi_core.frame.rays.control_pixels import CONTROLS_IF_MISSED, paths_for
 from isogi_core.frame.rays.own_light import PixelLight, foreseen_paths
 from isogi_core.frame.rays.picture_check import PictureCheck
@@ -136,6 +136,9 @@ class ViewChecks(Refinement[PictureCheck]):
         if light.coloured:
             between *= light.tints(shot.gbuffer, shot.tiles) @ LUMINANCE_WEIGHTS
         between[known.own.places] = 0.0
+        # Light that was carried over is of a point nearby, and may change on the way.
+        carried = frame.luminance(shot.gbuffer.pixels[known.carried])
+        between[known.carried] = MOST_CHANGE * known.target * carried
         return np.asarray(np.hypot(between, frame.pixel_noise))
 
     def asks_finer(self, view: View, target: float) -> bool:

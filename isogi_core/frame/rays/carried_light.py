@@ -31,6 +31,9 @@ FARTHEST = 1.0
 LEAST_COSINE = 0.95
 """Least cosine of the angle between the normals of two such points: 18 degrees."""
 
+LEAST_NEIGHBOURS = 6
+"""Number of a pixel's eight neighbours whose light must be known to tell how light changes."""
+
 MOST_CHANGE = 2.5
 """Largest relative change of light from one point to the other, in target errors: most changes are
 far smaller, and only a part of the pixels takes light over.
@@ -166,10 +169,12 @@ class TracedLight:
 
 def changes_by_pixel(rows: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Return the largest difference of each of the ``values`` (k,) from those of the eight pixels
-    around it, relative to the value; (k,). ``rows`` (height, width) numbers the values, -1 without
-    one.
+    around it, relative to the value; (k,). It is infinite if fewer than LEAST_NEIGHBOURS of these
+    have a value, as at the rim of the surface. ``rows`` (height, width) numbers the values, -1
+    without one.
     """
     worst = np.zeros(len(values))
+    neighbours = np.zeros(len(values), np.int64)
     padded = np.pad(rows, 1, constant_values=-1)
     height, width = rows.shape
     for dy, dx in product((-1, 0, 1), repeat=2):
@@ -177,6 +182,9 @@ def changes_by_pixel(rows: np.ndarray, values: np.ndarray) -> np.ndarray:
         both = (rows >= 0) & (other >= 0)
         here = rows[both]
         worst[here] = np.maximum(worst[here], np.abs(values[here] - values[other[both]]))
+        neighbours[here] += 1
+    # A pixel was counted as a neighbour of itself.
+    worst[neighbours <= LEAST_NEIGHBOURS] = np.inf
     return worst / np.maximum(values, np.finfo(np.float64).tiny)
 
 

@@ -78,12 +78,13 @@ def test_a_view_beside_another_takes_its_light(bench: Workbench) -> None:
     assert after.version != alone.version
 
 
-def test_the_same_camera_takes_all_light(bench: Workbench) -> None:
+def test_nearly_the_same_camera_shows_the_same_light(bench: Workbench) -> None:
     view = bench.view(azimuth=30.0, size=SIZE)
     first = finished(bench, view)
     nearly = finished(bench, bench.view(azimuth=30.0001, size=SIZE))
-    assert carried(nearly) > 0.95 * len(traced(first)) and not traced(nearly)
-    np.testing.assert_allclose(luminance(nearly), luminance(first), rtol=0.1)
+    assert carried(nearly) > 0.25 * len(traced(first)), "all but those at rims"
+    difference = luminance(nearly) - luminance(first)
+    assert math.sqrt((difference**2).mean()) < TARGET * luminance(first).mean()
 
 
 def test_other_light_is_not_taken(bench: Workbench) -> None:
@@ -112,6 +113,12 @@ def test_points_project_to_their_pixels(bench: Workbench) -> None:
 
 
 def test_changes_are_those_to_the_eight_neighbours() -> None:
-    rows = np.array([[0, 1, -1], [2, -1, -1], [-1, -1, 3]], np.int32)
-    values = np.array([1.0, 1.5, 0.5, 9.0])
-    np.testing.assert_allclose(changes_by_pixel(rows, values), [0.5, 2.0 / 3.0, 2.0, 0.0])
+    """Light at a rim, of which too few neighbours are known, may change by any amount."""
+    rows = np.arange(9, dtype=np.int32).reshape(3, 3)
+    values = np.array([1.0, 1.5, 0.5, 9.0, 2.0, 2.0, 2.0, 1.0, 3.0])
+    changes = changes_by_pixel(rows, values)
+    assert changes[4] == 3.5 and np.isinf(np.delete(changes, 4)).all()
+    rows[0, 0] = -1
+    assert changes_by_pixel(rows, values)[4] == 3.5
+    rows[0, :] = -1
+    assert np.isinf(changes_by_pixel(rows, values)[4])
