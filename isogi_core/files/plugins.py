@@ -5,6 +5,8 @@ WRITER_GROUP. What cannot be loaded is left out, with a sentence that is said if
 reader.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
@@ -12,6 +14,7 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from isogi_core.errors import IsogiError
 from isogi_core.files.packed_files import line_of
 
 READER_GROUP = "isogi.readers"
@@ -84,6 +87,27 @@ def plugins(group: str, record: type) -> Plugins:
         folder = Path(str(entry.dist.locate_file(""))) if entry.dist is not None else Path()
         found += [Plugin(package, folder, each) for each in records]
     return Plugins(tuple(found), tuple(faults))
+
+
+@contextmanager
+def blamed(package: str, what: str, kind: type[IsogiError]) -> Iterator[None]:
+    """Raise an error of this ``kind``, which names the ``package``, for whatever goes wrong in the
+    code of a plug-in; ``what`` says what cannot be done by it. Errors of isogi pass, and those of a
+    lack of memory, and all of isogi's own code, whose package is empty.
+    """
+    try:
+        yield
+    except (IsogiError, MemoryError):
+        raise
+    except LOAD_FAULTS as error:
+        if not package:
+            raise
+        raise kind(failure_of(package, what, line_of(error))) from error
+
+
+def failure_of(package: str, what: str, wrong: str) -> str:
+    """Say ``what`` cannot be done by a plug-in, what went ``wrong``, and what to do."""
+    return f"{what} by the plug-in {package} ({wrong}): update that package, or tell its authors."
 
 
 def package_of(entry: EntryPoint) -> str:

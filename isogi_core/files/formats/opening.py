@@ -4,7 +4,6 @@ that is no volume seems to be.
 
 import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from isogi_core.errors import IsogiError, VolumeError, advice
+from isogi_core.errors import VolumeError, advice
 from isogi_core.files.formats import (
     array_files,
     brain_files,
@@ -43,8 +42,7 @@ from isogi_core.files.formats.other_kinds import (
 )
 from isogi_core.files.formats.source import FILE_CHOICES, Source
 from isogi_core.files.grid import Grid, read_as
-from isogi_core.files.packed_files import line_of
-from isogi_core.files.plugins import LOAD_FAULTS
+from isogi_core.files.plugins import blamed, failure_of
 
 __all__ = ["HEAD_BYTES", "libraries_for", "open_file", "open_upload", "split_part"]
 
@@ -149,10 +147,11 @@ def read_by_plugin(kind: Kind, source: Source) -> Grid:
     """Open a file by a plug-in's reader. Raises VolumeError, which names the package for whatever
     goes wrong in it.
     """
-    with _in_plugin(kind, source.name):
+    with blamed(kind.package, _unread(kind, source.name), VolumeError):
         grid = kind.open()(source)
     if not isinstance(grid, Grid):
-        raise VolumeError(_plugin_fault(kind, source.name, f"it gives {type(grid).__name__}"))
+        wrong = f"it gives {type(grid).__name__}"
+        raise VolumeError(failure_of(kind.package, _unread(kind, source.name), wrong))
     source.check(grid.shape)
     return replace(
         grid,
@@ -168,7 +167,7 @@ def _checked_slabs(kind: Kind, name: str, grid: Grid) -> Iterator[np.ndarray]:
     shape.
     """
     layers = 0
-    with _in_plugin(kind, name):
+    with blamed(kind.package, _unread(kind, name), VolumeError):
         for slab in grid.slabs():
             layers += len(slab)
             if slab.shape[1:] != grid.shape[1:] or layers > len(grid):
@@ -177,28 +176,13 @@ def _checked_slabs(kind: Kind, name: str, grid: Grid) -> Iterator[np.ndarray]:
         else:
             if layers == len(grid):
                 return
-    raise VolumeError(
-        _plugin_fault(kind, name, f"its slabs do not make up {' × '.join(map(str, grid.shape))}")
-    )
+    wrong = f"its slabs do not make up {' × '.join(map(str, grid.shape))}"
+    raise VolumeError(failure_of(kind.package, _unread(kind, name), wrong))
 
 
-@contextmanager
-def _in_plugin(kind: Kind, name: str) -> Iterator[None]:
-    """Raise VolumeError for whatever goes wrong in a plug-in's code."""
-    try:
-        yield
-    except (IsogiError, MemoryError, GeneratorExit):
-        raise
-    except LOAD_FAULTS as error:
-        raise VolumeError(_plugin_fault(kind, name, line_of(error))) from error
-
-
-def _plugin_fault(kind: Kind, name: str, wrong: str) -> str:
-    """Say what went wrong in a plug-in, and what to do."""
-    return (
-        f"'{name}' cannot be read as {kind.name} by the plug-in {kind.package} ({wrong}): update "
-        "that package, or tell its authors."
-    )
+def _unread(kind: Kind, name: str) -> str:
+    """Say that a plug-in does not read a file as the kind that it should be."""
+    return f"'{name}' cannot be read as {kind.name}"
 
 
 def _cubes(source: Source) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 
 from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.cache.scene_caches import Caches
-from isogi_core.errors import IsogiError, SceneError, ViewError
+from isogi_core.errors import SceneError, ViewError
 from isogi_core.files.grid import srgb_bytes
 from isogi_core.files.light_files import (
     LitMesh,
@@ -24,8 +24,14 @@ from isogi_core.files.light_files import (
     usd_layer,
     usdz_package,
 )
-from isogi_core.files.packed_files import line_of
-from isogi_core.files.plugins import LOAD_FAULTS, WRITER_GROUP, Plugins, Writer, plugins
+from isogi_core.files.plugins import (
+    WRITER_GROUP,
+    Plugins,
+    Writer,
+    blamed,
+    failure_of,
+    plugins,
+)
 from isogi_core.files.spelling import shortest
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.lighting import RotatedLight
@@ -114,25 +120,15 @@ def write_file(output: Path, lit: LitMesh | LitVolume) -> None:
     ViewError, which names the package, for whatever goes wrong in a plug-in.
     """
     writer = writers()[suffix_of(output)]
-    if not writer.package:
-        encode = writer.open()
+    unwritten = f"{output} cannot be written"
+    with blamed(writer.package, unwritten, ViewError):
         if writer.is_folder:
-            encode(output, lit)
-        else:
-            write_whole(output, encode(lit))
-        return
-    fault = f"{output} cannot be written by the plug-in {writer.package}"
-    way_out = "update that package, or tell its authors."
-    try:
-        written = writer.open()(output, lit) if writer.is_folder else writer.open()(lit)
-    except (IsogiError, MemoryError):
-        raise
-    except LOAD_FAULTS as error:
-        raise ViewError(f"{fault} ({line_of(error)}): {way_out}") from error
-    if writer.is_folder:
-        return
+            writer.open()(output, lit)
+            return
+        written = writer.open()(lit)
     if not isinstance(written, bytes):
-        raise ViewError(f"{fault} (it gives {type(written).__name__}, not bytes): {way_out}")
+        wrong = f"it gives {type(written).__name__}, not bytes"
+        raise ViewError(failure_of(writer.package, unwritten, wrong))
     write_whole(output, written)
 
 
