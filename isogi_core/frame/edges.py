@@ -4,7 +4,6 @@ Each sample casts a ray, and borrows its light from the pixels around that show 
 its hit: no sample is shaded by itself.
 """
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -154,7 +153,7 @@ def shown_by(frame: Frame) -> Shown:
         if count:
             rows.flat[others.pixels] = np.arange(len(points), len(points) + count, dtype=np.int32)
             points = np.concatenate([points, others.points])
-    pixel = 2.0 * math.tan(math.radians(view.camera.fov) / 2.0) / view.whole[1]
+    pixel = view.camera.pixel_size(view.whole[1])
     x, y, z = gbuffer.spacing
     scale = np.float32(x), np.float32(y), np.float32(z)
     eye = np.float32(gbuffer.eye[0]), np.float32(gbuffer.eye[1]), np.float32(gbuffer.eye[2])

@@ -2,7 +2,6 @@
 light can turn without new primary rays.
 """
 
-import math
 import threading
 from dataclasses import dataclass, field
 from typing import Any
@@ -193,8 +192,7 @@ def pinhole(camera: Camera, width: int, height: int, spacing: Vector) -> Pinhole
     the top.
     """
     right, up, forward = camera.basis()
-    # Pixels are square: the vertical field of view sets their size on a plane at distance 1.
-    pixel = 2.0 * math.tan(math.radians(camera.fov) / 2.0) / height
+    pixel = camera.pixel_size(height)
     corner = forward - right * (pixel * width / 2.0) + up * (pixel * height / 2.0)
     return Pinhole(
         *(to_index(v, spacing) for v in (np.array(camera.eye), corner, right * pixel, -up * pixel))

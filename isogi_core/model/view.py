@@ -155,6 +155,12 @@ class Camera:
         right = right / np.linalg.norm(right)
         return right, np.cross(right, forward), forward
 
+    def pixel_size(self, rows: int) -> float:
+        """Return the side of a pixel of a picture of so many ``rows``, on a plane at distance 1
+        along the view. Pixels are square: the vertical field of view sets their size.
+        """
+        return 2.0 * math.tan(math.radians(self.fov) / 2.0) / rows
+
     def in_box(self, orientation: Orientation) -> "Camera":
         """Return this camera of the world in the box of a volume with an ``orientation``."""
         if not orientation.placed:

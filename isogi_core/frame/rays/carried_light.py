@@ -6,7 +6,6 @@ that point is less than about a pixel away, and light changes little on the way.
 measure the picture afterwards, so that light which was carried too far shows as error.
 """
 
-import math
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any, Self
@@ -88,13 +87,16 @@ class TracedPoints:
         arrays = (self.rows, self.points, self.normals, self.expected, self.shares, self.changes)
         return self.estimate.nbytes + sum(each.nbytes for each in arrays)
 
-    def pairs(self, shot: Shot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def pairs(
+        self, shot: Shot, points: np.ndarray, pixels: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the rows of points of another ``shot`` that may take over light, ascending; the
         numbers of the points whose light they take; and their distances in pixels. Raises
         Cancelled.
+
+        ``points`` (m, 3) are the shot's in the volume's box, ``pixels`` (m,) the sides of its
+        pixels there.
         """
-        gbuffer = shot.gbuffer
-        points = gbuffer.points * np.array(gbuffer.spacing)
         # Find the pixel of the former view that shows each point, and the point that was traced
         # there.
         columns, lines, depths = project(self.view, points)
@@ -105,11 +107,10 @@ class TracedPoints:
         places = places[numbers >= 0]
         numbers = numbers[numbers >= 0]
         # It is the same part of the surface if it is as near as pixels are, and faces the same way.
-        before = depths * pixel_slope(self.view)
-        now = project(shot.view, points)[2] * pixel_slope(shot.view)
-        away = np.linalg.norm(points[places] - self.points[numbers], axis=1)
-        away /= np.minimum(before, now)[places]
-        cosines = (gbuffer.normals(shot.tiles)[places] * self.normals[numbers]).sum(axis=1)
+        finer = np.minimum(depths * self.view.camera.pixel_size(height), pixels)
+        away = np.linalg.norm(points[places] - self.points[numbers], axis=1) / finer[places]
+        normals = shot.gbuffer.normals(shot.tiles)
+        cosines = (normals[places] * self.normals[numbers]).sum(axis=1)
         near = (away <= FARTHEST) & (cosines >= LEAST_COSINE)
         # Leave out points at edges of light, where a part of a pixel makes a difference.
         near &= self.changes[numbers] * away <= MOST_CHANGE * shot.goal.error
@@ -141,7 +142,11 @@ class TracedLight:
         ``uncertainty`` (m,) is that of the luminance of its points. It stands for the expected
         error of those that take over none.
         """
-        m = len(shot.gbuffer.points)
+        gbuffer = shot.gbuffer
+        view = shot.view
+        points = gbuffer.points * np.array(gbuffer.spacing)
+        pixels = project(view, points)[2] * view.camera.pixel_size(view.height)
+        m = len(points)
         nearest = np.full(m, np.inf)
         sums = np.zeros((m, REPLICAS, 3))
         counts = np.zeros(m, np.int64)
@@ -149,7 +154,7 @@ class TracedLight:
         shares = np.ones(m)
         # Go through the views, and keep the nearest point of each pixel.
         for each in self.views:
-            places, numbers, away = each.pairs(shot)
+            places, numbers, away = each.pairs(shot, points, pixels)
             nearer = away < nearest[places]
             places = places[nearer]
             numbers = numbers[nearer]
@@ -161,7 +166,7 @@ class TracedLight:
         found = np.flatnonzero(nearest < np.inf)
         if not len(found):
             return PixelLight.none()
-        part = shot.gbuffer.part(found, shot.tiles)
+        part = gbuffer.part(found, shot.tiles)
         paths = Paths(shot.light, part, shot.tiles, bounces_of_truth(shot.light))
         own = PixelLight.of(found, Estimate(sums[found], counts[found]), paths, expected)
         return replace(own, shares=shares[found])
@@ -188,11 +193,6 @@ def changes_by_pixel(rows: np.ndarray, values: np.ndarray) -> np.ndarray:
     return worst / np.maximum(values, np.finfo(np.float64).tiny)
 
 
-def pixel_slope(view: View) -> float:
-    """Return the height of a pixel of a ``view`` over the distance from the eye."""
-    return 2.0 * math.tan(math.radians(view.camera.fov) / 2.0) / view.height
-
-
 def project(view: View, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the columns and lines at which a ``view`` shows ``points`` (m, 3) of the volume's box,
     in pixels from the upper left corner, and their depths along the view; each (m,).
@@ -200,7 +200,7 @@ def project(view: View, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.
     right, up, forward = view.camera.basis()
     ways = points - np.array(view.camera.eye)
     depths = ways @ forward
-    scale = 1.0 / (np.where(depths > 0.0, depths, np.inf) * pixel_slope(view))
+    scale = 1.0 / (np.where(depths > 0.0, depths, np.inf) * view.camera.pixel_size(view.height))
     columns = view.width / 2.0 + ways @ right * scale
     lines = view.height / 2.0 - ways @ up * scale
     return columns, lines, depths
