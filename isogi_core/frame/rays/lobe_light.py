@@ -192,13 +192,22 @@ class Shadows:
         """Return the state of all lobes' middles as seen from all points, (lobes, m) uint8."""
         seen = np.empty((len(self.lamps.kinds), self.points), np.uint8)
         # Turn after turn: a point whose neighbours of earlier turns agree takes over their state.
-        for first, last in pairwise(self.starts.ends.tolist()):
-
-            def _piece(a: int, b: int, first: int = first) -> None:
-                see_middles(self.traced, self.picture, self.lamps, (first + a, first + b), seen)
-
-            self.tiles.run(_piece, last - first, tile_of(last - first, LOBE_POINTS, self.tiles))
+        for span in pairwise(self.starts.ends.tolist()):
+            self._see(self.picture, self.lamps, span, seen)
         return seen
+
+    def _see(
+        self, picture: ShadowPoints, lamps: LampArrays, span: tuple[int, int], seen: np.ndarray
+    ) -> None:
+        """Put the states of the middles of ``lamps`` into ``seen`` (lobes, m) for a ``span`` of the
+        points of a ``picture``, in their order.
+        """
+        first, last = span
+
+        def _piece(a: int, b: int) -> None:
+            see_middles(self.traced, picture, lamps, (first + a, first + b), seen)
+
+        self.tiles.run(_piece, last - first, tile_of(last - first, LOBE_POINTS, self.tiles))
 
     def find_dapples(self, seen: np.ndarray) -> None:
         """Cast rays to the middles of lobes from points that adopted an answer, if another one was
@@ -221,18 +230,8 @@ class Shadows:
                 if not len(doubted):
                     break
                 adopted[doubted] = False
-                self._see_alone(alone._replace(order=doubted), lamp, seen[k : k + 1])
-
-    def _see_alone(self, picture: ShadowPoints, lamp: LampArrays, seen: np.ndarray) -> None:
-        """Cast a ray to the middle of one ``lamp`` from each point in the order of a ``picture``,
-        and put the results into ``seen`` (1, m).
-        """
-
-        def _piece(a: int, b: int) -> None:
-            see_middles(self.traced, picture, lamp, (a, b), seen)
-
-        total = len(picture.order)
-        self.tiles.run(_piece, total, tile_of(total, LOBE_POINTS, self.tiles))
+                some = alone._replace(order=doubted)
+                self._see(some, lamp, (0, len(doubted)), seen[k : k + 1])
 
     def edges(self, seen: np.ndarray) -> np.ndarray:
         """Find the pairs of a point and a lobe in half-shadow, by rays to rims; put them into

@@ -42,6 +42,9 @@ h², and a ramp in place of the edge has the mean squared error h² / 6. Where l
 error is a tenth of this.
 """
 
+BLUR = BINOMIAL / BINOMIAL.sum()
+"""Weights of texels from two before one to two after it."""
+
 FILTER_STEPS = ((1, 1.0), (2, 2.7))
 """For each pass of the filter, the distance in texels between those that it mixes; and by how much
 the variance of their mean is larger than that of independent ones, on even light.
@@ -438,10 +441,6 @@ class FittedWeights(NamedTuple):
     here: np.ndarray
 
 
-BLUR = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16.0
-"""Weights of texels from two steps before one to two steps after it."""
-
-
 @cache
 def fitted_weights(size: int, step: int) -> FittedWeights:
     """Return the weights of ``size`` texels in a row, of which those a ``step`` apart are mixed by
@@ -459,10 +458,8 @@ def fitted_weights(size: int, step: int) -> FittedWeights:
 
 
 def pooled(variance: np.ndarray) -> np.ndarray:
-    """Average ``variance`` (rows, columns) over neighbours, by the weights BINOMIAL."""
+    """Average ``variance`` (rows, columns) over neighbours, by the weights BLUR."""
     for axis in (0, 1):
         padded = np.pad(variance, [(2 * int(a == axis),) * 2 for a in range(2)], "edge")
-        variance = np.lib.stride_tricks.sliding_window_view(padded, len(BINOMIAL), axis) @ (
-            BINOMIAL / BINOMIAL.sum()
-        )
+        variance = np.lib.stride_tricks.sliding_window_view(padded, len(BLUR), axis) @ BLUR
     return variance
