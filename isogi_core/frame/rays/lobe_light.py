@@ -21,7 +21,6 @@ from isogi_core.kernels.shading.lobes import (
     LOBE_HALF_SEEN,
     LOBE_HIDDEN,
     LOBE_SEEN,
-    NO_LOBE,
     PENUMBRA_RAYS,
     STRATIFIED_VARIANCE,
     add_halves,
@@ -217,16 +216,15 @@ class Shadows:
         """
         picture = self.picture
         alone = picture._replace(around=np.full_like(picture.around, -1))
-        y, x = np.divmod(picture.points.pixels.astype(np.int64), picture.rows.shape[1])
+        pixels = picture.points.pixels
         for k in range(len(seen)):
             lamp = LampArrays(*(part[k : k + 1] for part in self.lamps))
             adopted = adopted_answers(picture, seen[k])
             while adopted.any():
-                states = np.full(picture.rows.shape, NO_LOBE, np.uint8)
-                states[y, x] = seen[k]
-                lit = within(states == LOBE_SEEN, DAPPLE_REACH)[y, x]
-                dark = within(states == LOBE_HIDDEN, DAPPLE_REACH)[y, x]
-                doubted = np.flatnonzero(adopted & lit & dark).astype(np.int32)
+                marks = np.zeros(picture.rows.shape, np.uint8)
+                marks.reshape(-1)[pixels] = ANSWER_BITS[seen[k]]
+                both = spread(marks, DAPPLE_REACH).reshape(-1)[pixels] == BOTH_ANSWERS
+                doubted = np.flatnonzero(adopted & both).astype(np.int32)
                 if not len(doubted):
                     break
                 adopted[doubted] = False
@@ -344,24 +342,39 @@ class Shadows:
         return shares
 
 
+ANSWER_BITS = np.zeros(256, np.uint8)
+ANSWER_BITS[LOBE_SEEN] = 1
+ANSWER_BITS[LOBE_HIDDEN] = 2
+BOTH_ANSWERS = 3
+"""A bit for each answer, by the state of a lobe's middle; and both bits."""
+
+
 def adopted_answers(picture: ShadowPoints, seen: np.ndarray) -> np.ndarray:
     """Return the points that adopted the answer of their neighbours, by the states ``seen`` (m,) of
     a lobe's middle; (m,) bool. See ``agreed`` of the kernel.
     """
-    around = seen[picture.around]
-    same = (around == around[:, :1]).all(axis=1) & (picture.around[:, 0] >= 0)
-    return same & np.isin(around[:, 0], (LOBE_HIDDEN, LOBE_SEEN)) & (seen == around[:, 0])
+    adopted = (picture.around[:, 0] >= 0) & (ANSWER_BITS[seen] > 0)
+    for neighbours in picture.around.T:
+        adopted &= seen[neighbours] == seen
+    return adopted
 
 
-def within(marks: np.ndarray, reach: int) -> np.ndarray:
-    """Return the places (h, w) that have a mark within ``reach`` along both axes, bool."""
-    for axis in range(2):
-        before = np.moveaxis(marks, axis, 0)
-        after = before.copy()
-        for step in range(1, min(reach, len(before) - 1) + 1):
-            after[step:] |= before[:-step]
-            after[:-step] |= before[step:]
-        marks = np.moveaxis(after, 0, axis)
+def spread(marks: np.ndarray, reach: int) -> np.ndarray:
+    """Return, for each place, all bits of the ``marks`` (h, w) within ``reach`` along both axes;
+    uint8.
+    """
+    # The reach doubles with each step; a longer one would miss marks near the picture's border.
+    found = 0
+    while found < reach:
+        step = min(found + 1, reach - found)
+        for axis in (0, 1):
+            low = (slice(None),) * axis + (slice(None, -step),)
+            high = (slice(None),) * axis + (slice(step, None),)
+            before = marks
+            marks = before.copy()
+            marks[high] |= before[low]
+            marks[low] |= before[high]
+        found += step
     return marks
 
 
