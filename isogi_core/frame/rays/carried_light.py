@@ -112,8 +112,10 @@ class TracedPoints:
         normals = shot.gbuffer.normals(shot.tiles)
         cosines = (normals[places] * self.normals[numbers]).sum(axis=1)
         near = (away <= FARTHEST) & (cosines >= LEAST_COSINE)
-        # Leave out points at edges of light, where a part of a pixel makes a difference.
-        near &= self.changes[numbers] * away <= MOST_CHANGE * shot.goal.error
+        # Leave out points at edges of light, where a part of a pixel makes a difference, and those
+        # at rims, whose changes are infinite, at any distance.
+        least = np.finfo(np.float64).tiny
+        near &= self.changes[numbers] * np.maximum(away, least) <= MOST_CHANGE * shot.goal.error
         return places[near], numbers[near], away[near]
 
 

@@ -6,10 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from isogi_core.bake.noise import Goal
 from isogi_core.frame import view_checks
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.lighting import RotatedLight
-from isogi_core.frame.rays.carried_light import carried_key, changes_by_pixel, project
+from isogi_core.frame.rays.carried_light import (
+    TracedPoints,
+    carried_key,
+    changes_by_pixel,
+    project,
+)
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import View, quaternion_from_angles
 from isogi_core.reference import trace_reference
@@ -161,3 +167,20 @@ def test_changes_are_those_to_the_eight_neighbours() -> None:
     assert changes_by_pixel(rows, values)[4] == 3.5
     rows[0, :] = -1
     assert np.isinf(changes_by_pixel(rows, values)[4])
+
+
+@pytest.mark.usefixtures("always")
+def test_points_at_rims_are_not_taken_even_at_no_distance(bench: Workbench) -> None:
+    """Light at a rim may change by any amount, and the same view again shows the same points."""
+    view = bench.view(azimuth=70.0, size=SIZE)
+    first = finished(bench, view)
+    assert first.quality.known is not None
+    shot = bench.renderer.shot(view, first.gbuffer, Goal(TARGET), bench.renderer.tiles)
+    known = first.quality.known
+    points = TracedPoints.of(shot, known.own, known.carried)
+    assert np.isinf(points.changes).any() and np.isfinite(points.changes).any()
+    box = first.gbuffer.points * np.array(first.gbuffer.spacing)
+    sides = project(view, box)[2] * view.camera.pixel_size(view.height)
+    _, numbers, away = points.pairs(shot, box, sides)
+    assert len(numbers) and not away.any()
+    assert np.isfinite(points.changes[numbers]).all()
