@@ -17,7 +17,7 @@ from typing import Any, Literal
 import pytest
 from playwright.sync_api import Page, Route
 
-from tests.web.visits import BROWSER, SHOTS, slide, stage_of
+from tests.web.visits import BROWSER, SHOTS, load_modules, slide, stage_of
 
 pytestmark = BROWSER
 SLOW_SERVER = Path(__file__).with_name("slow_server.js")
@@ -36,6 +36,7 @@ def away(page: Page) -> None:
     """A page whose stream is slow; other scenes are slow to open, and pictures beside are there at
     once.
     """
+    load_modules(page)
     page.add_init_script(path=SLOW_SERVER)
     page.route("**/v1/scenes", twins)
     page.route(
