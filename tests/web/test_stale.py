@@ -210,7 +210,7 @@ def summary(report: dict[str, Any]) -> str:
     return "\n".join([f"{changes} of {report['changes']} changes, {looks}", *lines])
 
 
-@pytest.mark.long  # open: what is said of a card's picture, now that views have smoothing
+@pytest.mark.long
 def test_random_changes_are_followed_by_no_lie(fresh: Page, live_server: str) -> None:
     report = tried(fresh, live_server, 18, seed=50)
     assert report["looks"] > 90 and report["drawn"] > 20
