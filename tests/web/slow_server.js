@@ -1,7 +1,7 @@
 /**
  * A server that is three seconds away, in place of the one behind the page's stream, and what looks for lies meanwhile.
  * Each picture is of one colour, which is its number; so whatever lies on the stage says what it was drawn for. What the
- * visitor's card draws over it is known by the controls at the time; the card is a processor, and taken to be quick.
+ * visitor's card draws over it is known by the controls at the time; the card is a processor, which the address asks for.
  */
 (() => {
   const DELAY_MS = 3000;
@@ -14,12 +14,23 @@
   const UNLIT = 4; // of every so many views, the first picture of one is not lit all over
   const NO_PICTURE = ["compare", "rulers-choice", "isovalue-number", "exposure"]; // of the last one its words count
 
+  // A processor is slow, and left to the server: the address asks for it, also that of another scene.
+  const query = new URLSearchParams(location.search);
+  query.set("draw", "card");
+  if (location.protocol.startsWith("http")) history.replaceState(null, "", `?${query}`);
+
   const $ = (selector) => document.querySelector(selector);
   const pictures = new Map();
   const report = { changes: 0, looks: 0, drawn: 0, lies: [], ...JSON.parse(sessionStorage.getItem("report")) };
   window.report = report;
 
-  let size = ""; // of the stage, as it was last painted
+  let size = ""; // of the stage, as it was last painted, or at the first view, which may be sent before
+
+  /** The stage's size, whether it is painted or not. */
+  function sizeNow() {
+    const { width, height } = $("#stage").getBoundingClientRect();
+    return `${width}×${height}`;
+  }
 
   /** All controls that a picture depends on, as a text; what makes the same picture has the same text. */
   function controls() {
@@ -43,7 +54,9 @@
     const left = step === LAST ? null : { low: 5, likely: 10 + (number % 80), high: 100 };
     const unlit = step === 1 && number % UNLIT === 0 ? 0.3 * (1 - final) : 0;
     const coverage = step === LAST ? { final: 1, converging: 0, provisional: 0 } : { final, converging: 1 - final - unlit, provisional: unlit };
-    return { provisional: step < LAST, coverage, error, controls: 9, chunks: { needed: 9, final: 1 }, time_left: left };
+    const pixels = Object.fromEntries(Object.entries({ surface: 1, ...coverage }).map(([name, share]) => [name, Math.round(1000 * share)]));
+    const measured = { error, noise: error / 2, interval: [0.8 * error, 1.2 * error], controls: 9, p99: null, p99_interval: null };
+    return { provisional: step < LAST, coverage, pixels, ...measured, chunks: { needed: 9, final: 1 }, time_left: left, overdue: false };
   }
 
   async function painted(number) {
@@ -69,6 +82,7 @@
     send(text) {
       const message = JSON.parse(text);
       if ("shown" in message) return;
+      size ||= sizeNow();
       const now = controls(), before = this.#newest;
       const isSame = before && !before.moving && !message.moving && before.controls === now;
       this.#newest = { ...message, controls: now, step: isSame ? Math.min(before.step, LAST - 1) : 0 }; // light is not forgotten
@@ -103,7 +117,6 @@
   async function watchCard() {
     const { Card } = await import("/web/card/card.js");
     const { draw } = Card.prototype;
-    Card.prototype.isQuick = async () => true;
     Card.prototype.draw = function (...given) {
       const done = draw.apply(this, given);
       if (done) drawn = { controls: controls(), size: sizeOf(this.canvas), facts: {}, draft: true };

@@ -203,6 +203,8 @@ def test_a_label_is_hidden_by_keys_and_named_in_a_saved_picture(
     page: Page, segmented: str, tmp_path: Path
 ) -> None:
     open_final(page, segmented)
+    for values in ("#isovalue", "#isovalue-number", "#percentile", "#histogram"):
+        expect(page.locator(values)).to_be_hidden()  # labels have none
     page.get_by_label("spleen").focus()
     page.keyboard.press("Space")
     expect(page.get_by_label("liver")).to_be_disabled()  # one is always shown

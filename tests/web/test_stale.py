@@ -17,7 +17,7 @@ from typing import Any, Literal
 import pytest
 from playwright.sync_api import Page, Route
 
-from tests.web.visits import BROWSER, SHOTS, slide, stage_of
+from tests.web.visits import BROWSER, SHOTS, load_modules, slide, stage_of
 
 pytestmark = BROWSER
 SLOW_SERVER = Path(__file__).with_name("slow_server.js")
@@ -36,6 +36,7 @@ def away(page: Page) -> None:
     """A page whose stream is slow; other scenes are slow to open, and pictures beside are there at
     once.
     """
+    load_modules(page)
     page.add_init_script(path=SLOW_SERVER)
     page.route("**/v1/scenes", twins)
     page.route(
@@ -209,7 +210,7 @@ def summary(report: dict[str, Any]) -> str:
     return "\n".join([f"{changes} of {report['changes']} changes, {looks}", *lines])
 
 
-@pytest.mark.long  # open: what is said of a card's picture, now that views have smoothing
+@pytest.mark.long
 def test_random_changes_are_followed_by_no_lie(fresh: Page, live_server: str) -> None:
     report = tried(fresh, live_server, 18, seed=50)
     assert report["looks"] > 90 and report["drawn"] > 20

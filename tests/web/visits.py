@@ -57,6 +57,16 @@ TWO_FRAMES = "() => new Promise((done) => requestAnimationFrame(() => requestAni
 FINAL_MS = 180_000  # baking a view for the first time on a small machine
 
 
+def load_modules(page: Page) -> None:
+    """Have the page load its modules one by one in place of the single script that is sent: a test
+    changes those that it imports.
+    """
+    page.route(
+        "**/web/page-*.js",
+        lambda route: route.fulfill(body='import "./main.js";', content_type="text/javascript"),
+    )
+
+
 def open_shown(page: Page, address: str) -> Page:
     """The page with a picture, whichever that is."""
     page.goto(address)

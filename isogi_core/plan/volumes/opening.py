@@ -33,7 +33,7 @@ from isogi_core.plan.volumes.labels import (
 )
 from isogi_core.plan.volumes.masks import cut_out, place, read_tables
 from isogi_core.plan.volumes.periods import closed, read_cells, repeated_beside, trimmed, upright
-from isogi_core.plan.volumes.pieces import MOST_PIECE, without_small_pieces
+from isogi_core.plan.volumes.pieces import Least, read_pieces, without_small_pieces
 from isogi_core.plan.volumes.smoothing import gaussian_reach, smoothed
 
 COPY_FORMAT = 3
@@ -69,7 +69,7 @@ def open_volume(
     tables = read_tables(settings)
     labels = find_labels(settings)
     smooth = settings.number("smooth", 0.0, 0.0, MOST_SMOOTH)
-    pieces = settings.count("pieces", MOST_PIECE) or 0
+    pieces = read_pieces(settings)
     if name.startswith("demo:"):
         repeating = settings.flags("periodic", 3) or settings.counts("repeat", 3, MOST_REPEATED)
         altered = bool(spacing or missing or chosen or raw or tables or pieces or repeating)
@@ -125,7 +125,7 @@ def open_volume(
     )
 
 
-def refuse_for_labels(stem: str, smooth: float, pieces: int) -> None:
+def refuse_for_labels(stem: str, smooth: float, pieces: Least) -> None:
     """Raise SceneError if labels of the volume ``stem`` are to be smoothed, or to lose pieces."""
     if smooth:
         raise SceneError(

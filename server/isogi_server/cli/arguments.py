@@ -184,7 +184,10 @@ def volume_options(command: Callable[..., Any]) -> Callable[..., Any]:
     )
     @click.option(
         "--pieces",
-        help="Hide pieces of fewer voxels than this, such as specks of noise; default: 0, none.",
+        help=(
+            "Hide pieces of fewer voxels than this, such as specks of noise, or all but the "
+            "largest at the isovalue of the scene file; default: 0, none."
+        ),
     )
     @click.option("--environment", help=replace(KNOBS["environment"], help=LIGHT_HELP).text)
     @click.option(

@@ -9,7 +9,7 @@ import pytest
 from isogi_core.errors import SceneError, VolumeError
 from isogi_core.files.grid import Grid
 from isogi_core.plan.volumes import pieces
-from isogi_core.plan.volumes.pieces import without_small_pieces
+from isogi_core.plan.volumes.pieces import LargestAt, without_small_pieces
 from tests.loaded import load_scene
 
 
@@ -67,9 +67,39 @@ def test_a_scene_without_specks_has_other_light(tmp_path: Path) -> None:
     kept = load_scene(f"{tmp_path}/v.npy#pieces=8", isovalue=100)
     assert kept.volume.dtype == "uint8" and kept.bake_digest != plain.bake_digest
     assert kept.volume.value_range == (0.0, 200.0)
-    for wrong in (-1, 2.5, "largest"):
+    for wrong in (-1, 2.5, "large", "largest"):  # the largest at no isovalue
         with pytest.raises(SceneError, match="pieces"):
             load_scene(tmp_path / "v.npy", pieces=wrong)
+
+
+@pytest.mark.parametrize("solid", ["above", "below"])
+def test_the_largest_piece_is_left_at_its_isovalue(solid: str) -> None:
+    rng = np.random.default_rng(5)
+    values = rng.random((9, 8, 10)).astype(np.float32)
+    isovalue = 0.87 if solid == "above" else 0.13
+    inside = values > isovalue if solid == "above" else values < isovalue
+    found = without_small_pieces(Grid.of(values), LargestAt(isovalue), solid).whole()
+    left = found > isovalue if solid == "above" else found < isovalue
+    sizes = [least for least in range(1, 99) if large_parts(inside, least).any()]
+    assert (left == large_parts(inside, sizes[-1])).all()
+    assert 0 < left.sum() < inside.sum() and left.sum() == sizes[-1]
+
+
+def test_a_scene_shows_its_largest_piece(tmp_path: Path) -> None:
+    voxels = np.zeros((12, 12, 16), np.uint8)
+    voxels[2:8, 2:8, 2:8] = 200
+    voxels[2:7, 2:8, 10:15] = 250
+    np.save(tmp_path / "v.npy", voxels)
+    kept = load_scene(tmp_path / "v.npy", isovalue=100, pieces="largest")
+    assert kept.volume.value_range == (0.0, 200.0)
+    left = np.asarray(kept.volume.voxels) > kept.volume.voxels.min()
+    assert left[2:8, 2:8, 2:8].all() and left.sum() == 216
+    one = load_scene(tmp_path / "v.npy", isovalue=225, pieces="largest")
+    assert one.volume.value_range == (0.0, 250.0), "one piece alone stays"
+    voxels[2:8, 2:8, 10:16] = 250
+    np.save(tmp_path / "v.npy", voxels)
+    with pytest.raises(VolumeError, match="216 voxels each"):
+        load_scene(tmp_path / "v.npy", isovalue=100, pieces="largest")
 
 
 def test_what_does_not_fit_into_memory_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,7 +10,7 @@ import { liesOf, lineAcross, partLeft, sliceAt, slopeOf, stepped, voxelAt } from
 import { draggedGreys, wheelSteps } from "../../../web/isogi_web/slices/gestures.js";
 import { valuesOfGreys } from "../../../web/isogi_web/net/bytes.js";
 import { SliceCache, pixelsOf, turned, usualGreys } from "../../../web/isogi_web/slices/values.js";
-import { draggedBy } from "../../../web/isogi_web/view/handles.js";
+import { draggedBy, tell } from "../../../web/isogi_web/view/handles.js";
 import { readRows } from "../../../web/isogi_web/view/npy.js";
 import { ViewModel } from "../../../web/isogi_web/view/model.js";
 import { arePlanes, cutAt, facingPlane, movablePlanes, moved, nearestAxis, outlineOf, partPlanes, planeOf, planesOf, readPlanes, termOf, writePlanes } from "../../../web/isogi_web/view/planes.js";
@@ -79,6 +79,14 @@ test("each side of what is left, and each oblique plane, is moved along its norm
   assert.equal(moved(planes[1], planes[1].open), "1,1,0>9");
   const oblique = planeOf(moved(planes[6], 5).split(";")[1]);
   assert.ok(Math.abs(oblique.limit - 5) < 1e-3 && Math.abs(oblique.normal[0] - Math.SQRT1_2) < 1e-3);
+});
+
+test("screen readers hear where a plane is, and from where to where it goes", () => {
+  const element = {};
+  tell(element, { name: "from below along x", value: 12.34567, range: [0.5, 99.99999] });
+  assert.equal(element.ariaLabel, "Cut, from below along x");
+  assert.equal(element.ariaValueText, "from below along x 12.35, within 0.5 to 100");
+  assert.deepEqual([element.ariaValueMin, element.ariaValueNow, element.ariaValueMax], ["0.5", "12.34567", "99.99999"]);
 });
 
 test("an oblique plane has an outline within what is left, and faces whom it should", () => {
