@@ -112,6 +112,13 @@ class BakeSpec:
             self.prepared.scene.kind_of(layer, self.plan) for layer in self.plan.layers
         )
 
+    @property
+    def rough(self) -> bool:
+        """True if the noise of light is estimated roughly, from one difference of halves: that of
+        irradiance or glow. Of a single texel it may be small by chance.
+        """
+        return any(layer.kind in ("irradiance", GLOW_KIND) for layer in self.plan.layers)
+
     @cached_property
     def coloured(self) -> bool:
         """True if paths carry the colours of the surfaces that they hit to harmonics."""

@@ -27,7 +27,7 @@ from isogi_core.model.scene_plan import Layer
 from isogi_core.model.view import Camera, View, rotation_matrix
 from isogi_core.plan.scene import Scene
 
-PICTURE_FORMAT = 14
+PICTURE_FORMAT = 15
 """Number of the format of pictures. It counts up when the same light makes another picture, so
 that browsers ask for theirs again.
 """

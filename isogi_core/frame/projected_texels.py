@@ -213,6 +213,7 @@ def join_readings(
         bounds=base.bounds,
         short=short,
         goal=base.goal,
+        rough=base.rough,
         base=base,
         projected=projected,
         pool=pool,

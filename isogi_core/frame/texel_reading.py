@@ -50,6 +50,7 @@ class Reading:
     - ``bounds``: texels of chunk i are ``bounds[i]`` … ``bounds[i + 1]``.
     - ``short`` (chunks,) bool: True for chunks with texels that lack light.
     - ``goal``: of the picture; it decides which texels are final.
+    - ``rough``: True if the noise of each texel is estimated roughly; see ``BakeSpec.rough``.
     """
 
     rows: np.ndarray
@@ -60,6 +61,7 @@ class Reading:
     bounds: np.ndarray
     short: np.ndarray
     goal: Goal
+    rough: bool
 
     @property
     def nbytes(self) -> int:
@@ -96,8 +98,14 @@ class Reading:
     def grainy(self) -> np.ndarray:
         """Mark lit texels whose light is filtered for its noise, even if they need no more
         samples; (texels,) bool.
+
+        If noise is estimated roughly, all are: a texel whose noise seems small by chance would
+        keep it, and be seen among its filtered neighbours. The filter goes by their mean noise.
         """
-        return np.asarray(self.lit & (self.samples > 0) & (self.error > GRAIN))
+        sampled = self.lit & (self.samples > 0)
+        if self.rough:
+            return np.asarray(sampled)
+        return np.asarray(sampled & (self.error > GRAIN))
 
     @property
     def rung(self) -> int:
@@ -175,7 +183,9 @@ def read_texels(
         short = np.zeros(0, np.bool_)
     # Digests are joined in the order of the texels, whichever thread was first.
     version = b"".join(digests[a] for a in sorted(digests))
-    return Reading(rows, grade, version, samples, error, texels.bounds, short, goal)
+    return Reading(
+        rows, grade, version, samples, error, texels.bounds, short, goal, pool.spec.rough
+    )
 
 
 @dataclass(frozen=True, eq=False)

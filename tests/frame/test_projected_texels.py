@@ -265,6 +265,5 @@ def reading(rng: np.random.Generator, count: int, bounds: np.ndarray) -> Reading
         rows[grade == kind] = row
     short = np.minimum.reduceat(grade, bounds[:-1]) < FINAL
     error = rng.random(count).astype(np.float32)
-    return Reading(
-        rows, grade, b"", np.full(count, 16, np.int32), error, bounds, short, Goal(LOOSE)
-    )
+    samples = np.full(count, 16, np.int32)
+    return Reading(rows, grade, b"", samples, error, bounds, short, Goal(LOOSE), rough=False)

@@ -15,7 +15,7 @@ from isogi_core.frame import shading
 from isogi_core.frame.demand import first_texels
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.shading import carry_texel_light, filter_texel_light, lend_light
-from isogi_core.frame.texel_reading import Lacking, grade_rows
+from isogi_core.frame.texel_reading import GRAIN, Lacking, grade_rows
 from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import PAIRED
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL, Framebuffer
@@ -32,7 +32,7 @@ from isogi_core.kernels.shading.lattice import (
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.scene_plan import MIN_SAMPLES, most_samples
 from isogi_core.model.view import View
-from tests.frame.conftest import SKY, Workbench, reading_of, refine_chunk, relative_rmse
+from tests.frame.conftest import CONSTANT, SKY, Workbench, reading_of, refine_chunk, relative_rmse
 from tests.loaded import load_scene
 
 TARGET = 0.02
@@ -305,3 +305,71 @@ def test_lent_light_may_all_be_wrong(workbench: Make) -> None:
         assert (found.grade == CONVERGING).all()
         np.testing.assert_allclose(filtered[turned, :3], 0.5, rtol=1e-3)
         np.testing.assert_allclose(filtered[turned, 3], 0.5, rtol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("settings", "stays"),
+    [
+        ({"lights": [SKY]}, False),
+        ({"lights": [CONSTANT]}, False),
+        ({"room": "cornell"}, True),
+        ({"lights": [CONSTANT], "glow": [{"sphere": [47.5] * 4, "radiance": 1.0}]}, True),
+    ],
+    ids=["sky", "constant", "room", "glow"],
+)
+def test_noise_of_light_that_stays_is_estimated_roughly(
+    settings: dict[str, Any], stays: bool, workbench: Make
+) -> None:
+    bench = workbench(load_scene("demo:orbital", bounces=1, target_error=1e-3, **settings))
+    view = bench.view(size=8)
+    assert reading_of(bench, view, Tiles(1)).rough == bench.caches.spec("gi").rough == stays
+
+
+def test_light_that_stays_is_filtered_if_noise_seems_small(workbench: Make) -> None:
+    """Its noise is one difference of halves, which agree by chance at some texels."""
+    bench = workbench(load_scene("demo:orbital", bounces=1, target_error=1e-3, room="cornell"))
+    view = bench.view(size=24)
+    for demand in bench.renderer.render(view).demands:
+        refine_chunk(bench.caches.of("gi"), 16, 1e-3, demand)
+    texels = bench.renderer.texels(view, bench.renderer.gbuffer(view))
+    shot = bench.renderer.shot(view, texels.gbuffer, Goal(1e-3), Tiles(1))
+    reading, smooth = bench.renderer._texels.lit(texels, shot)
+    alone = Renderer(bench.caches, Tiles(1), filters=False)
+    _, plain = alone._texels.lit(texels, shot)
+    quiet = reading.lit & (reading.error <= GRAIN)
+    changed = (smooth[quiet] != plain[quiet]).any(axis=1)
+    assert quiet.sum() > 20 and changed.mean() > 0.9
+
+
+@pytest.mark.parametrize("rough", [False, True])
+def test_texels_that_seem_quiet_lose_noise_if_it_is_rough(rough: bool, workbench: Make) -> None:
+    """Every eighth texel says that it has no noise; all have as much. If noise is well known, they
+    keep their light.
+    """
+    bench = orbital(workbench)
+    view = bench.view(size=24)
+    tiles = Tiles(1)
+    texels = bench.renderer.texels(view, bench.renderer.gbuffer(view))
+    count = len(texels.places)
+    quiet = np.arange(count) % 8 == 0
+    error = np.where(quiet, 0.0, 0.2).astype(np.float32)
+    reading = replace(
+        reading_of(bench, view, tiles),
+        grade=np.full(count, CONVERGING, np.uint8),
+        samples=np.full(count, 16, np.int32),
+        error=error,
+        rough=rough,
+    )
+    noise = 0.1 * np.random.default_rng(7).normal(size=count)
+    lit = np.zeros((count, LIGHT_NUMBERS), np.float32)
+    lit[:, :3] = 0.5 + noise[:, None]
+    lit[:, 3] = 0.5 * error
+    normals = np.tile(np.array([[0.0, 0.0, 1.0]], np.float32), (count, 1))
+    light = bench.renderer._light(view)
+    _, filtered = filter_texel_light(texels, reading, lit, normals, light, tiles)
+    left = [np.sqrt(((filtered[some, 1] - 0.5) ** 2).mean()) for some in (quiet, ~quiet)]
+    assert left[1] < 0.5 * 0.1
+    if rough:
+        assert left[0] == pytest.approx(left[1], rel=0.25)
+    else:
+        assert np.array_equal(filtered[quiet], lit[quiet])

@@ -90,6 +90,7 @@ def mixed(
         bounds=readings[0].bounds,
         short=np.logical_or.reduce([reading.short for reading in readings]),
         goal=readings[0].goal,
+        rough=any(reading.rough for reading in readings),
         parts=tuple(
             (reading, level.caches) for reading, level in zip(readings, levels, strict=True)
         ),

@@ -265,6 +265,7 @@ def reading_of(error: np.ndarray, samples: np.ndarray) -> Reading:
         none,
         none,
         Goal(0.02, FIRST_LEVEL),
+        rough=False,
     )
 
 

@@ -137,6 +137,7 @@ def reading(grades: list[int], error: float) -> Reading:
         np.array([0, len(grade)]),
         short,
         Goal(0.02),
+        rough=False,
     )
 
 
