@@ -550,7 +550,9 @@ def extrapolated(
     )
 
 
-def seconds_per_texel(measured: Sequence[ChunkCost], per_task: float = TASK_OVERHEAD_SECONDS) -> np.ndarray:
+def seconds_per_texel(
+    measured: Sequence[ChunkCost], per_task: float = TASK_OVERHEAD_SECONDS
+) -> np.ndarray:
     """Return the seconds of a worker per texel of each chunk, (chunks,) float64.
 
     Work per task is slowed down like paths.
