@@ -208,6 +208,33 @@ def knob_places(knob: str) -> int:
     return sum(re.search(rf"\b{knob}\b", path.read_text()) is not None for path in places)
 
 
+def imported_constants() -> int:
+    """Constants of the product that tests import, each counted once."""
+    return len(
+        {
+            (node.module, each.name)
+            for path in files_of("tests")
+            for node in ast.walk(parsed(path))
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("isogi")
+            for each in node.names
+            if re.fullmatch("_?[A-Z][A-Z0-9_]+", each.name)
+        }
+    )
+
+
+def private_attributes() -> int:
+    """Places in tests that touch an attribute whose name begins with one underscore, those of
+    ``self`` and ``cls`` left out.
+    """
+    return sum(
+        isinstance(node, ast.Attribute)
+        and re.match("_[^_]", node.attr) is not None
+        and not (isinstance(node.value, ast.Name) and node.value.id in ("self", "cls"))
+        for path in files_of("tests")
+        for node in ast.walk(parsed(path))
+    )
+
+
 def modules() -> int:
     """Modules of the product, ``__init__`` left out."""
     return sum(path.name != "__init__.py" for path in files_of(*PRODUCT))
@@ -281,6 +308,8 @@ COUNTS: dict[str, Callable[[], object]] = {
     "function names in three modules or more": shared_names,
     "constants of one word in two modules or more": common_constants,
     "files that name the knob roughness": lambda: knob_places("roughness"),
+    "constants of the product that tests import": imported_constants,
+    "private attributes that tests touch": private_attributes,
     "modules of the product": modules,
     "lines of the product": lambda: lines_of(*PRODUCT),
     "lines of the page": lambda: lines_of("web", suffixes=(".js", ".css", ".html")),

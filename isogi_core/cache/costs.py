@@ -29,6 +29,10 @@ a kill loses the costs of at most this time.
 """
 
 
+TASK_OVERHEAD_SECONDS = 1.0 / 128.0
+"""Processor seconds of a worker that a task takes for each chunk in addition to its paths."""
+
+
 class Cost(NamedTuple):
     """The work of a bake: processor ``seconds`` for ``paths``, and the ``texels`` that got their
     first light.
@@ -51,9 +55,26 @@ class Cost(NamedTuple):
             return (self.seconds - self.first) / paths
         return None
 
+    def ahead(self, paths: float, unlit: int = 0) -> float:
+        """Return the seconds that further ``paths`` will take, judged by this cost; 0 if it is of
+        none.
+
+        The first FIRST_LEVEL of them of each of ``unlit`` texels are first light, and take as long
+        as that of other texels did. If one of the two is unknown, a path takes as long as the mean
+        of all paths.
+        """
+        if self.rate is None or not self.texels:
+            return paths * self.seconds / max(self.paths, 1)
+        first = self.first / self.texels
+        return self.rate * (paths - FIRST_LEVEL * unlit) + first * unlit
+
     def plus(self, other: "Cost") -> "Cost":
         """Return the sum of both costs."""
         return Cost(*(a + b for a, b in zip(self, other, strict=True)))  # type: ignore[arg-type]
+
+    def minus(self, other: "Cost") -> "Cost":
+        """Return the cost of the work that was done after the ``other`` was taken."""
+        return Cost(*(a - b for a, b in zip(self, other, strict=True)))  # type: ignore[arg-type]
 
 
 class Costs:

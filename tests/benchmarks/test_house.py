@@ -35,3 +35,16 @@ def test_names_in_three_modules_are_counted_once(
         house.modules(),
         house.lines_of("."),
     ) == (1, 1, 3, 9)
+
+
+def test_constants_and_private_attributes_in_tests_are_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "tests").mkdir()
+    for number in range(2):
+        (tmp_path / "tests" / f"test_{number}.py").write_text(
+            "from isogi_core.one import MOST, Some, some\nfrom numpy import PI\n"
+            "some._kept.other\nself._mine\nsome.__class__\n"
+        )
+    monkeypatch.setattr(house, "ROOT", tmp_path)
+    assert (house.imported_constants(), house.private_attributes()) == (1, 2)

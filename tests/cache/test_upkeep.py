@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from isogi_core.bake.bake_spec import BakeSpec
-from isogi_core.bake.texel_light import VOID
+from isogi_core.bake.texel_light import FIRST_LEVEL, VOID
 from isogi_core.cache.chunk_record import Chunk, record_type
 from isogi_core.cache.chunk_store import STAMP_EVERY, ChunkStore, UseStamps
 from isogi_core.cache.costs import SAVE_EVERY, Cost, Costs
@@ -573,6 +573,17 @@ def test_a_path_costs_its_chunks_rate_or_the_common_one(place: str) -> None:
     costs.add((0, 0, 4), Cost(0.5, 0, 0))
     assert costs.rate((0, 0, 4)) == costs.rate((9, 9, 9)) == pytest.approx(0.04)
     assert costs.total == Cost(153.5, 2476, 11, 20.0)
+
+
+def test_further_paths_cost_as_those_after_first_light() -> None:
+    """Of 160 paths, 80 were the first light of 5 texels and took 2.5 of 4 seconds."""
+    cost = Cost(4.0, 160, 5, 2.5)
+    assert cost.ahead(160.0) == pytest.approx(3.0)
+    assert cost.ahead(160.0 + 2 * FIRST_LEVEL, unlit=2) == pytest.approx(4.0)
+    assert Cost(2.5, 80, 5, 2.5).ahead(160.0) == pytest.approx(5.0), "nothing else is known"
+    assert Cost(2.0, 80).ahead(160.0 + 2 * FIRST_LEVEL, unlit=2) == pytest.approx(4.8)
+    assert Cost().ahead(160.0) == 0.0
+    assert Cost(9.0, 200, 5, 2.5).minus(cost) == Cost(5.0, 40, 0, 0.0)
 
 
 def test_costs_are_known_after_a_restart(place: str) -> None:

@@ -183,6 +183,22 @@ def test_a_promise_that_nobody_asked_for_is_made_again(clock: Clock) -> None:
     assert told.kept("one", TimeLeft(5.0, 9.0, 40.0)) == TimeLeft(5.0, 9.0, 40.0)
 
 
+def test_promises_are_corrected_by_works_that_took_longer(clock: Clock) -> None:
+    told = Promises(clock)
+    for work in range(len(ASSUMED_WORK_RATIOS) + 1):
+        told.kept(work, TimeLeft(5.0, 10.0, 20.0))
+        clock.now += 30.0
+        told.end(work)
+    assert told.kept("next", TimeLeft(5.0, 10.0, 20.0)) == TimeLeft(15.0, 30.0, 60.0)
+
+
+def test_a_work_that_is_done_is_promised_again(clock: Clock) -> None:
+    told = Promises(clock)
+    told.kept("one", TimeLeft(1.0, 2.0, 4.0))
+    told.end("one")
+    assert told.kept("one", TimeLeft(5.0, 9.0, 40.0)) == TimeLeft(5.0, 9.0, 40.0)
+
+
 def stuck(left: float, at: float) -> float:
     """An estimate that never changes."""
     return 2.0

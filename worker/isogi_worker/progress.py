@@ -13,7 +13,7 @@ import numpy as np
 
 from isogi_core.bake.noise import RATE, Effort
 from isogi_core.bake.texel_light import FIRST_LEVEL
-from isogi_core.cache.costs import Costs
+from isogi_core.cache.costs import TASK_OVERHEAD_SECONDS, Costs
 from isogi_core.model.scene_plan import MAX_SAMPLES, MIN_SAMPLES, most_samples
 from isogi_core.prepared.prepared_scene import Index
 
@@ -312,22 +312,38 @@ MAX_PROMISES = 256
 
 
 class Promises:
-    """The reported times left of several works. Safe to use from many threads."""
+    """The reported times left of several works, corrected by how the estimates for earlier ones
+    came true by the clock.
+
+    This makes up for work that cannot be counted, as its steps are not known beforehand. Safe to
+    use from many threads.
+    """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         """Begin without reports."""
         self._clock = clock
+        self._estimator = TimeEstimator(clock)
         self._known: OrderedDict[Hashable, Promise] = OrderedDict()
         self._lock = threading.Lock()
 
     def kept(self, work: Hashable, left: TimeLeft) -> TimeLeft:
         """Return the time to report of a ``work`` by a new estimate ``left``; see ``Promise``."""
         with self._lock:
+            # Correct the likely value; the range stays as wide in proportion.
+            learnt = self._estimator.estimate(work, left.likely, self._clock())
+            if left.likely > 0.0:
+                left = left.scaled_to(learnt.likely)
             known = self._known.pop(work, None) or Promise(self._clock, FORGET_SECONDS)
             self._known[work] = known
             if len(self._known) > MAX_PROMISES:
                 self._known.popitem(last=False)
             return known.kept(left)
+
+    def end(self, work: Hashable) -> None:
+        """Judge the estimates of a ``work`` that is done, and forget its reported time."""
+        with self._lock:
+            self._estimator.end(work, self._clock())
+            self._known.pop(work, None)
 
 
 PACE_WINDOW_SECONDS = 20.0
@@ -464,9 +480,6 @@ class ChunkCost:
     stored: int
 
 
-PER_TASK = 0.008
-"""Processor seconds of a worker that a task takes in addition to its paths."""
-
 UNREHEARSED_SPREAD = math.log(2.0)
 """Relative spread of true over estimated times that a rehearsal does not show:
 pictures end a sample level sooner or later.
@@ -537,7 +550,9 @@ def extrapolated(
     )
 
 
-def seconds_per_texel(measured: Sequence[ChunkCost], per_task: float = PER_TASK) -> np.ndarray:
+def seconds_per_texel(
+    measured: Sequence[ChunkCost], per_task: float = TASK_OVERHEAD_SECONDS
+) -> np.ndarray:
     """Return the seconds of a worker per texel of each chunk, (chunks,) float64.
 
     Work per task is slowed down like paths.

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from isogi_core.bake.texel_light import FIRST_LEVEL, next_level
+from isogi_core.cache.costs import TASK_OVERHEAD_SECONDS
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.rays.control_pixels import MAX_CONTROLS, TotalError
 from isogi_core.frame.rays.own_light import Choice, choose_points
@@ -34,12 +35,15 @@ HEAVIER = 3.0
 saved and read.
 """
 
-TASK = float(1 << 14)
-"""Cost of baking one chunk by one rung besides its paths, in paths of pixels: 8 ms of a worker,
-see ``isogi_worker.progress``.
+PATHS_PER_SECOND = float(1 << 21)
+"""Paths of pixels that a thread traces in a second, by which seconds of workers are priced. It is
+a constant, as a picture's samples must not depend on the speed of the machine.
 """
 
-FINER_TEXELS_COST = float(1 << 22)
+TASK = PATHS_PER_SECOND * TASK_OVERHEAD_SECONDS
+"""Cost of baking one chunk by one rung besides its paths, in paths of pixels."""
+
+FINER_TEXELS_COST = PATHS_PER_SECOND * 2.0
 """Cost of starting with finer texels, in paths of pixels: each worker opens them, which takes 1
 to 2 s.
 """

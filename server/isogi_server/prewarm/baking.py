@@ -24,7 +24,7 @@ from isogi_core.bake.refine import refine
 from isogi_core.bake.texel_light import FIRST_LEVEL, Light
 from isogi_core.cache.chunk_record import Chunk
 from isogi_core.cache.chunk_store import ChunkStore
-from isogi_core.cache.costs import Cost
+from isogi_core.cache.costs import TASK_OVERHEAD_SECONDS, Cost
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import Cancelled
 from isogi_core.frame.demand import Demand
@@ -44,7 +44,6 @@ from isogi_server.settings import cores
 from isogi_worker.bake_requests import Viewer, next_until
 from isogi_worker.errors import WorkersError
 from isogi_worker.progress import (
-    PER_TASK,
     ChunkCost,
     CostEstimate,
     Pace,
@@ -241,10 +240,8 @@ class Baking:
 
     @property
     def spent(self) -> Cost:
-        """Paths and processor seconds spent on these chunks since the round began."""
-        now = self._cost()
-        before = self._before
-        return Cost(now.seconds - before.seconds, now.paths - before.paths)
+        """The cost of the tasks on these chunks since the round began."""
+        return self._cost().minus(self._before)
 
     def run(self) -> None:
         """Bake until everything is done or the time is over, then withdraw all requests.
@@ -500,9 +497,9 @@ def forecast(
     texels = sum(len(demand.offsets) for demand in demands)
     # Dispatch costs extra time only if the workers leave no core free.
     if workers >= cores():
-        per_task = PER_TASK + DISPATCH
+        per_task = TASK_OVERHEAD_SECONDS + DISPATCH
     else:
-        per_task = PER_TASK
+        per_task = TASK_OVERHEAD_SECONDS
     return extrapolated(rehearsals.all, texels, len(rehearsals.all) == len(demands), per_task)
 
 

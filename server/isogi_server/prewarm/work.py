@@ -420,7 +420,7 @@ class Rounds:
 
         Raises WorkersError, StoreError, and Cancelled.
         """
-        # Forecast the time per path, for reports of the time left.
+        # Forecast the time per path, for reports of the time left in the first round.
         coming = paths_to(found, rung_ahead(self.context, found))
         pace = ahead.seconds / max(coming, 1.0)
         while found.demands and not self.context.late(end):
@@ -429,7 +429,9 @@ class Rounds:
             first = self.done
             last = (self.done + LAST_ROUND_END_SHARE) / 2.0
             baked = first + BAKED_SHARE * (last - first)
-            expected = Expected(pace * found.paths, pace * coming + self.checks, (first, baked))
+            seconds = self._seconds(pace, found.paths, found.unlit)
+            later = self._seconds(pace, coming) + self.checks
+            expected = Expected(seconds, later, (first, baked))
             baking = Baking(self.context, found.wishes, expected, end)
             baking.run()
             self._note(baking)
@@ -439,10 +441,15 @@ class Rounds:
             if not baking.spent.paths and is_unchanged(found, left):
                 return left
             found = left
-            # From the first round on, use the measured time per path.
-            if self.spent.paths:
-                pace = self.spent.seconds / self.spent.paths
         return found
+
+    def _seconds(self, pace: float, paths: float, unlit: int = 0) -> float:
+        """Return the seconds that ``paths`` will take, those of first light of ``unlit`` texels
+        among them: by the cost of earlier rounds, or if there is none at the forecast ``pace``.
+        """
+        if self.spent.paths:
+            return self.spent.ahead(paths, unlit)
+        return pace * paths
 
     def _note(self, baking: Baking) -> None:
         """Add the places, failures and cost of a round. A failure stays listed even if a later

@@ -5,7 +5,7 @@ frames lack.
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -52,7 +52,6 @@ from isogi_worker.progress import (
     ASSUMED_WORK_RATIOS,
     UNREHEARSED_SPREAD,
     Promises,
-    TimeEstimator,
     TimeLeft,
     log_normal_ratios,
 )
@@ -106,7 +105,7 @@ def time_of_paths(
     texel's path divided by HEAVIER, and the estimate is less certain.
     """
     # Costs are seconds of one processor; a pixel's pace was measured with all threads at work.
-    each = spent.seconds / max(spent.paths, 1) / threads
+    each = spent.ahead(1.0) / threads
     once = sum(seconds for stage, seconds in drawing.items() if stage not in WAITING_STAGES)
     work = left.texels * each + left.pixels * (left.pace or each / HEAVIER) + left.times * once
     if left.pace is None:
@@ -177,8 +176,6 @@ class RenderEngine:
         # Checks of pictures have separate threads, so that frames do not queue behind them.
         self._checking = Tiles()
         self._promises = Promises()
-        self._estimator = TimeEstimator()
-        self._estimating = threading.Lock()
         self._listeners: list[Listener] = []
         self.again: Callable[[str], Scene | None] = lambda _: None
         self._stopped = threading.Event()
@@ -475,8 +472,7 @@ class RenderEngine:
         """Estimate the seconds until a picture has all that it ``lacks``; None as ``time_left``."""
         picture = (lacks.scene, lacks.view, lacks.max_error)
         if lacks.final:
-            with self._estimating:
-                self._estimator.end(picture, time.monotonic())
+            self._promises.end(picture)
             return TimeLeft(0.0, 0.0, 0.0)
         # Texels are baked first, by the workers; after them paths of control pixels and of pixels'
         # light are traced in this process.
@@ -495,21 +491,8 @@ class RenderEngine:
             baking = baking.plus(time_of_paths(left, spent, self._checking.threads, lacks.seconds))
         # Report a time that does not jump.
         if baking.high > 0.0:
-            return self._promises.kept(picture, self._learnt(picture, baking))
+            return self._promises.kept(picture, baking)
         return None
-
-    def _learnt(self, picture: Hashable, left: TimeLeft) -> TimeLeft:
-        """Correct the estimate of the time ``left`` for a ``picture`` by how estimates for other
-        pictures came true.
-
-        This makes up for work that cannot be counted: the steps that a picture will take are not
-        known beforehand.
-        """
-        with self._estimating:
-            learnt = self._estimator.estimate(picture, left.likely, time.monotonic())
-        if left.likely > 0.0:
-            return left.scaled_to(learnt.likely)
-        return left
 
     def bake(self, bake: str, stage: Stage, viewer: Viewer = BACKGROUND_VIEWER) -> BackgroundBake:
         """Have the light that a ``stage`` demands of a ``bake`` baked for a ``viewer``; nothing

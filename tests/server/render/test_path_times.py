@@ -37,6 +37,12 @@ def test_a_path_takes_a_share_of_those_of_texels_at_first() -> None:
     )
 
 
+def test_first_light_does_not_make_later_paths_longer() -> None:
+    """Half of 800 paths were the first of 25 texels, and took four fifths of the time."""
+    left = time_of_paths(PathsLeft(texels=400.0), Cost(10.0, 800, 25, 8.0), 2, {})
+    assert left.likely == pytest.approx(400.0 * 2.0 / 400 / 2)
+
+
 def test_a_path_takes_as_long_as_the_pixels_last_ones() -> None:
     left = time_of_paths(PathsLeft(1000.0, pace=0.01), Cost(seconds=2.0, paths=400), 2, {})
     assert left.likely == pytest.approx(10.0)
