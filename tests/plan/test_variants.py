@@ -96,13 +96,13 @@ def test_a_probe_is_found_beside_the_scene(probe: Path) -> None:
     )
 
 
-LOBES = {"surfaces": [{"isovalue": -0.03, "albedo": [0.8, 0.3, 0.1]}], "isovalue": 0.03}
+LOBES = {"surfaces": [{"isovalue": 0.012, "albedo": [0.8, 0.3, 0.1]}], "isovalue": 0.06}
 
 
 def probes(folder: Path) -> tuple[Path, Path]:
     """A probe of 72 columns, 5 degrees each, and the same turned by hand by 40 degrees."""
     image = np.random.default_rng(4).uniform(0.0, 2.0, (36, 72, 3))
-    image[8, 20] = 90.0
+    image[6:14, 16:26] = 9.0
     for name, turned in (("own.hdr", image), ("turned.hdr", np.roll(image, 8, axis=1))):
         write_hdr(folder / name, turned)
     return folder / "own.hdr", folder / "turned.hdr"
@@ -121,7 +121,7 @@ def test_turned_light_is_that_of_a_probe_turned_by_hand(tmp_path: Path) -> None:
     assert turned.default_exposure == own.default_exposure != by_hand.default_exposure
     assert turned.bake_digest != own.bake_digest
     for side in sides_of(turned):
-        made = scene_of_side(turned, side, 0.03)
+        made = scene_of_side(turned, side, 0.06)
         assert made.lighting.environment is environment
         assert build_scene(made.source).bake_digest == made.bake_digest, "as workers open it"
 
@@ -146,7 +146,7 @@ def test_light_is_turned_as_views_turn_kept_light(tmp_path: Path, yaw: float, pi
         strict=True,
     ):
         size = np.abs(expected).max()
-        np.testing.assert_allclose(found, expected, atol=0.01 * size)
+        np.testing.assert_allclose(found, expected, atol=0.02 * size)
         assert np.abs(former - expected).max() > 0.03 * size
 
 

@@ -14,8 +14,8 @@ from tests.frame.several.drawing import check, drawn
 from tests.loaded import load_scene
 
 LOBES = {
-    "surfaces": [{"isovalue": -0.03, "albedo": [0.8, 0.3, 0.1]}],
-    "isovalue": 0.03,
+    "surfaces": [{"isovalue": 0.012, "albedo": [0.8, 0.3, 0.1]}],
+    "isovalue": 0.06,
     "albedo": [0.2, 0.4, 0.8],
     "bounces": 2,
     "target_error": 0.05,

@@ -185,7 +185,7 @@ def test_a_turn_that_is_none_is_422(client: httpx.Client) -> None:
 
 
 async def test_few_turns_are_kept(tmp_path: Path) -> None:
-    surfaces = [{"isovalue": -0.03, "albedo": [0.8, 0.3, 0.1]}]
+    surfaces = [{"isovalue": 0.012, "albedo": [0.8, 0.3, 0.1]}]
     scene = load_scene("demo:orbital", lights=[{"type": "sky"}], surfaces=surfaces)
     with closing(RenderEngine([scene], tmp_path / "light", workers=1)) as engine:
         variants = Variants(engine, lambda name: name)
