@@ -174,13 +174,16 @@ def test_a_turn_about_z_moves_columns_and_keeps_energy(tmp_path: Path) -> None:
         ({}, True),
         ({"rotating": False}, False),
         ({"lights": [{"type": "sky"}, {"type": "directional"}]}, False),
-        ({"surfaces": []}, False),
+        ({"surfaces": None}, False),
     ],
 )
 def test_light_is_baked_for_each_turn_where_none_is_kept_for_all(
     settings: dict[str, Any], turnable: bool
 ) -> None:
-    scene = load_scene("demo:orbital", **{**LOBES, "lights": [{"type": "sky"}], **settings})
+    given = {**LOBES, "lights": [{"type": "sky"}], **settings}
+    scene = load_scene(
+        "demo:orbital", **{key: value for key, value in given.items() if value is not None}
+    )
     assert scene.lighting.turnable == turnable == scene.lighting.baked_by_turn
 
 
