@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from isogi_core.frame import view_checks
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.carried_light import carried_key, changes_by_pixel, project
@@ -24,6 +25,12 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Workbench:
     """A surface whose texels are too far apart for the target, so that pixels need light."""
     scene = load_scene("demo:orbital", lights=[SKY], bounces=2, lattice=0.25, target_error=TARGET)
     return Workbench(scene, tmp_path_factory.mktemp("carried"))
+
+
+@pytest.fixture
+def always(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Light is carried to pictures that are too small for it to be worth it."""
+    monkeypatch.setattr(view_checks, "WORTH_CARRYING", 0)
 
 
 def apart(bench: Workbench) -> Workbench:
@@ -64,6 +71,7 @@ def true_error(bench: Workbench, frame: Frame) -> float:
     return math.sqrt(max(wrong**2 - reference.noise**2, 0.0))
 
 
+@pytest.mark.usefixtures("always")
 def test_a_view_beside_another_takes_its_light(bench: Workbench) -> None:
     """It reaches the target with fewer paths than alone, and its error is as told."""
     first = finished(bench, bench.view(azimuth=30.0, size=SIZE))
@@ -78,6 +86,36 @@ def test_a_view_beside_another_takes_its_light(bench: Workbench) -> None:
     assert after.version != alone.version
 
 
+def test_a_small_picture_takes_none(bench: Workbench) -> None:
+    """Measuring it with that light takes more paths than the light spares."""
+    first = finished(bench, bench.view(azimuth=50.0, size=SIZE))
+    assert traced(first)
+    view = bench.view(azimuth=50.01, size=SIZE)
+    after = finished(bench, view)
+    assert not carried(after)
+    assert after.version == finished(apart(bench), view).version
+
+
+@pytest.mark.usefixtures("always")
+def test_light_that_is_dropped_leaves_the_rest(bench: Workbench) -> None:
+    """Pixels keep the light that was traced for themselves, as if no other had been there."""
+    finished(bench, bench.view(azimuth=30.0, size=SIZE))
+    frame = finished(bench, bench.view(azimuth=33.0, size=SIZE))
+    known = frame.quality.known
+    assert known is not None and len(known.carried)
+    spec = bench.caches.spec("gi")
+    light = RotatedLight(spec, frame.view)
+    left = known.own.without(known.carried, light, frame.gbuffer, bench.renderer.tiles)
+    assert set(left.places.tolist()) == traced(frame)
+    assert 0 < left.paths < known.own.paths
+    rows = np.searchsorted(known.own.places, left.places)
+    assert np.array_equal(left.estimate.sums, known.own.estimate.sums[rows])
+    assert np.isfinite(left.light).all() and len(left.light) == len(left.places)
+    none = known.own.without(known.own.places, light, frame.gbuffer, bench.renderer.tiles)
+    assert not len(none.places)
+
+
+@pytest.mark.usefixtures("always")
 def test_nearly_the_same_camera_shows_the_same_light(bench: Workbench) -> None:
     view = bench.view(azimuth=30.0, size=SIZE)
     first = finished(bench, view)
@@ -87,6 +125,7 @@ def test_nearly_the_same_camera_shows_the_same_light(bench: Workbench) -> None:
     assert math.sqrt((difference**2).mean()) < TARGET * luminance(first).mean()
 
 
+@pytest.mark.usefixtures("always")
 def test_other_light_is_not_taken(bench: Workbench) -> None:
     finished(bench, bench.view(azimuth=30.0, size=SIZE))
     turned = replace(
