@@ -23,10 +23,13 @@ from isogi_core.storage.atomic_file import write_whole
 from isogi_server.cli import export as exporting
 from isogi_server.cli import publish, publish_live
 from isogi_server.cli.render import Drawn, draw, format_of, working
+from isogi_server.parameters import FrameParams, read
 from isogi_server.progress import open_scene as load
 from isogi_server.render.engine import RenderEngine
+from isogi_server.render.scene_variant import Change, SceneVariant
+from isogi_server.render.variants import Variants
 from isogi_server.settings import Settings
-from isogi_server.views import with_first_view
+from isogi_server.views import turn_baked, with_first_view
 
 if TYPE_CHECKING:
     from isogi.client import Isogi
@@ -180,6 +183,7 @@ class Scene:
         self._settings = settings
         self._work = ExitStack()
         self._engine: RenderEngine | None = None
+        self._variants: Variants | None = None
         self._scene: CoreScene = load(source, settings)
         if folder is not None:
             weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
@@ -223,7 +227,9 @@ class Scene:
         knobs = texts(view | ({} if error is None else {"max_error": error}))
         knobs = dict(with_first_view(self._scene, knobs))
         try:
-            drawn = draw(self._started(), self._scene, knobs, self._settings, seconds=time)
+            engine = self._started()
+            shown = self._turned(engine, knobs)
+            drawn = draw(engine, shown, knobs, self._settings, seconds=time)
         # After an error, and an interrupt above all, no worker is to go on; the next picture starts
         # others.
         except BaseException:
@@ -312,6 +318,7 @@ class Scene:
     def close(self) -> None:
         """End the workers, once they have written their light; the next picture starts others."""
         self._engine = None
+        self._variants = None
         self._work.close()
 
     def __enter__(self) -> Self:
@@ -331,6 +338,18 @@ class Scene:
         if self._engine is None:
             self._engine = self._work.enter_context(working(self._scene, self._settings))
         return self._engine
+
+    def _turned(self, engine: RenderEngine, knobs: Mapping[str, str]) -> CoreScene:
+        """Return the scene in the turned light that ``knobs`` ask for, if its light is baked for
+        each turn; else the scene.
+        """
+        turn = turn_baked(self._scene, read(FrameParams, knobs.items()))
+        variant = SceneVariant.of(self._scene, Change(turn=turn))
+        if not variant.any:
+            return self._scene
+        if self._variants is None:
+            self._variants = Variants(engine, lambda _: None)
+        return self._variants.make(self._scene, variant, None)
 
 
 class Picture:

@@ -20,7 +20,7 @@ from isogi_server.parameters import FrameParams, read
 from isogi_server.progress import open_scene
 from isogi_server.settings import Settings
 from isogi_server.values import span
-from isogi_server.views import view_of
+from isogi_server.views import in_turned_light, view_of
 
 if TYPE_CHECKING:
     from isogi_report.journal import Report
@@ -63,6 +63,7 @@ def report(
         exposure = scene.default_exposure
     else:
         exposure = params.exposure
+    scene = in_turned_light(scene, params)
     return report_of(scene, view_of(scene, params, settings), exposure, request, begun)
 
 

@@ -457,11 +457,43 @@ class Environment:
         """Return this environment as seen in the axes of a box whose rotation to the world is
         ``matrix`` (3, 3).
 
-        Each pixel is the mean of SAMPLES_PER_SIDE² samples. The digest follows from this one's and
-        the matrix.
+        About z the columns of the image are moved, which is exact. Otherwise each pixel is the mean
+        of SAMPLES_PER_SIDE² samples. The digest is ``turned_digest``.
         """
         if not self.image.any():
             return self
+        if (columns := self._columns_moved(matrix)) is not None:
+            image = moved_columns(self.image, columns)
+        else:
+            image = self._sampled(matrix)
+        return Environment(
+            self.constant, image.astype(np.float32), self.turned_digest(matrix), self.name
+        )
+
+    def turned_digest(self, matrix: np.ndarray) -> str:
+        """Return the digest of this environment turned by a ``matrix``, which follows from this
+        one's and the matrix.
+        """
+        if not self.image.any():
+            return self.digest
+        if (columns := self._columns_moved(matrix)) is not None:
+            how = f"columns {columns!r}"
+        else:
+            how = str(matrix.round(9).tolist())
+        return hashlib.blake2b(f"{self.digest} {how}".encode(), digest_size=16).hexdigest()
+
+    def _columns_moved(self, matrix: np.ndarray) -> float | None:
+        """Return by how many columns a rotation ``matrix`` moves the image, from 0 to its width;
+        None if it does not rotate about z.
+        """
+        if not matrix[2, 2] > 1.0 - 1e-12:
+            return None
+        width = self.image.shape[1]
+        turn = math.atan2(matrix[1, 0], matrix[0, 0]) / (2.0 * math.pi)
+        return round(turn * width, 6) % width
+
+    def _sampled(self, matrix: np.ndarray) -> np.ndarray:
+        """Return the image (h, w, 3) float64 turned by a rotation ``matrix``, from samples."""
         height, width = self.image.shape[:2]
         fine = pixel_directions(SAMPLES_PER_SIDE * height, SAMPLES_PER_SIDE * width)
         image = np.zeros((height, width, 3))
@@ -477,14 +509,23 @@ class Environment:
                 shares[:, None, None]
                 * seen.reshape(SAMPLES_PER_SIDE, width, SAMPLES_PER_SIDE, 3).sum(axis=2)
             ).sum(axis=0)
-        digest = hashlib.blake2b(
-            f"{self.digest} {matrix.round(9).tolist()}".encode(), digest_size=16
-        ).hexdigest()
-        return Environment(self.constant, image.astype(np.float32), digest, self.name)
+        return image
 
     def mean(self) -> np.ndarray:
         """Return the mean radiance (3,) over the sphere."""
         return np.asarray(self.constant + mean_radiance(self.image))
+
+
+def moved_columns(image: np.ndarray, columns: float) -> np.ndarray:
+    """Return an ``image`` (h, w, 3) that begins ``columns`` further right, in float64. Each pixel
+    is the mean of the former image, which is constant over a pixel, over its area.
+    """
+    whole = math.floor(columns)
+    left = np.roll(image, -whole, axis=1).astype(np.float64)
+    part = columns - whole
+    if part == 0.0:
+        return left
+    return np.asarray((1.0 - part) * left + part * np.roll(left, -1, axis=1))
 
 
 def cumulative(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -272,6 +272,49 @@ def quaternion_of(matrix: np.ndarray) -> Quaternion:
     return (-w, -x, -y, -z)
 
 
+TURN_STEP = 5.0
+"""Degrees to which yaw, pitch and roll are rounded if light is baked for each turn.
+
+A step moves the edge of a shadow by a twelfth of the distance that it is cast over. Each turn takes
+a bake, so a drag by a quarter of a circle takes 18.
+"""
+
+Turn = tuple[float, float, float]
+"""Yaw, pitch and roll of the light, degrees."""
+
+NO_TURN: Turn = (0.0, 0.0, 0.0)
+
+
+def angles_of(q: Quaternion) -> Turn:
+    """Return yaw, pitch and roll of a unit quaternion, degrees, pitch within ±90 and the others
+    within ±180: the inverse of ``quaternion_from_angles``.
+
+    At pitch ±90 only the sum or the difference of yaw and roll is determined: roll is then 0.
+    """
+    w, x, y, z = q
+    sine = min(1.0, max(-1.0, 2.0 * (w * y - x * z)))
+    if abs(sine) > 1.0 - 1e-9:
+        yaw = math.atan2(2.0 * (w * z - x * y), 1.0 - 2.0 * (x * x + z * z))
+        return (math.degrees(yaw), math.copysign(90.0, sine), 0.0)
+    yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    return (math.degrees(yaw), math.degrees(math.asin(sine)), math.degrees(roll))
+
+
+def nearest_turn(q: Quaternion) -> Turn:
+    """Return the turn whose angles are those of a unit quaternion, rounded to TURN_STEP; equal
+    turns have equal angles.
+    """
+    yaw, pitch, roll = (TURN_STEP * round(angle / TURN_STEP) for angle in angles_of(q))
+    # Rounding may reach the pole, where yaw and roll turn about one axis.
+    if abs(pitch) == 90.0:
+        yaw -= roll * pitch / 90.0
+        roll = 0.0
+    # Half a turn is 180 and not -180; adding 0 turns -0 into 0.
+    yaw, roll = (180.0 - (180.0 - angle) % 360.0 for angle in (yaw, roll))
+    return (yaw + 0.0, pitch + 0.0, roll + 0.0)
+
+
 def light_in_box(light: Quaternion, orientation: Orientation) -> Quaternion:
     """Convert a rotation of light in the world to the box: it is followed by the inverse of the
     box's rotation.

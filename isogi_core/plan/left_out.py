@@ -289,7 +289,7 @@ def turning(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
             "turning of the light", "It is the same from all sides, however it is turned."
         )
     elif not inputs.rotating:
-        yield LeftOut("turning of the light", "The scene's light does not turn.")
+        yield LeftOut("turning of the light", "The light that is kept does not turn.")
 
 
 def shadow_rays(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:

@@ -36,6 +36,7 @@ from isogi_core.model.lights import (
     light_named,
 )
 from isogi_core.model.room import NO_ROOM, ROOMS, Room, cornell_room, place_walls, wall_from_mapping
+from isogi_core.model.view import NO_TURN, quaternion_from_angles, rotation_matrix
 from isogi_core.model.volume import Volume
 from isogi_core.plan.materials import refuse_lamps
 from isogi_core.plan.surfaces import SceneSurfaces
@@ -54,7 +55,9 @@ class SceneLighting:
     - ``lights``: as the scene names them.
     - ``environment``: the sum of all lights that are infinitely far away.
     - ``lamps``: the other lights, and the luminaires of the ``room``.
-    - ``rotating``: True if views may turn the light.
+    - ``rotating``: True if views may turn the light, and it is kept so that they can.
+    - ``turnable``: True if views may turn light that is kept as it falls; it is then baked for each
+      turn.
     - ``glowing``: glows in the volume.
     """
 
@@ -64,6 +67,14 @@ class SceneLighting:
     rotating: bool
     room: Room = NO_ROOM
     glowing: Glowing = NO_GLOW
+    turnable: bool = False
+
+    @property
+    def baked_by_turn(self) -> bool:
+        """True if views may turn the light, which is baked for each turn, and it is not the same
+        from all sides.
+        """
+        return self.turnable and bool(self.environment.image.any())
 
     @property
     def sources(self) -> list[Any]:
@@ -116,11 +127,28 @@ def read_lighting(
     lamps = gather_lamps((*lights, *room.lamps), volume.orientation)
     environment = assemble_environment(lights)
     rotating = may_rotate(settings, lamps, room, surfaces.light_passes)
-    # Light that does not turn is kept in the axes of the volume's box, and so is baked without a
-    # rotation.
-    if volume.orientation.turned and not rotating:
-        environment = environment.turned(volume.orientation.matrix)
-    return SceneLighting(lights, environment, lamps, rotating, room, glowing)
+    # Turn the environment as the scene says. Light that views do not turn is kept in the axes of
+    # the volume's box, and so is baked without a rotation.
+    angles = settings.numbers("turned", 3) or NO_TURN
+    matrix = rotation_matrix(quaternion_from_angles(*angles)).T
+    if not rotating:
+        matrix = matrix @ volume.orientation.matrix
+    if angles != NO_TURN or (volume.orientation.turned and not rotating):
+        environment = turned_environment(environment, matrix)
+    # Lamps stay where they are, and all other light with them.
+    turnable = not (rotating or lamps.any) and settings.flag("rotating", True)
+    return SceneLighting(lights, environment, lamps, rotating, room, glowing, turnable)
+
+
+def turned_environment(environment: Environment, matrix: np.ndarray) -> Environment:
+    """Return an ``environment`` as seen in axes whose rotation to its own is ``matrix`` (3, 3).
+    Scenes in the same turn share it.
+    """
+    digest = environment.turned_digest(matrix)
+    known = ASSEMBLED.get(digest)
+    if known is not None:
+        return known
+    return ASSEMBLED.setdefault(digest, environment.turned(matrix))
 
 
 def read_lights(settings: Settings, room: Room) -> tuple[Light, ...]:
@@ -202,7 +230,8 @@ def may_rotate(settings: Settings, lamps: Lamps, room: Room, passed: bool) -> bo
 
 ASSEMBLED: WeakValueDictionary[Sequence[Light] | str, Environment] = WeakValueDictionary()
 """Environments in use: scenes under the same lights share one, as each takes megabytes. Those
-without a file are found by their lights, others by their digest, as a file may have changed.
+without a file are found by their lights, others by their digest, as a file may have changed, and
+turned ones too.
 """
 
 

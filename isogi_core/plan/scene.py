@@ -20,7 +20,7 @@ from isogi_core.kernels.transport.surface_paths import Among
 from isogi_core.model.first_view import FirstView
 from isogi_core.model.scene_plan import GLOW_KIND, GlowLayer, Layer, LeftOut, ScenePlan
 from isogi_core.model.value_survey import digest_of
-from isogi_core.model.view import Camera, orbit, orthographic
+from isogi_core.model.view import NO_TURN, Camera, Turn, orbit, orthographic
 from isogi_core.model.volume import Isovalue, Volume
 from isogi_core.plan.inputs import PlanInputs, PlanOverrides, find_once
 from isogi_core.plan.isovalue_levels import find_levels
@@ -117,7 +117,8 @@ class Scene:
     the units of the volume's file. ``target_error`` is the relative error at which a picture is
     final. ``exposed_for`` is given if the scene is a variant of another one or cut open: it is the
     surface of that other scene as first seen, so that the same light is equally bright in pictures
-    of both.
+    of both. ``turn`` is the turn of the views for which the scene's light is baked, of a variant of
+    a scene whose light is baked for each turn.
     """
 
     id: str
@@ -132,6 +133,7 @@ class Scene:
     inputs: PlanInputs
     plan: ScenePlan
     exposed_for: SeenNormals | None = None
+    turn: Turn = NO_TURN
 
     @property
     def bakes(self) -> frozenset[str]:

@@ -1,6 +1,6 @@
-"""Variants of a scene: in other light, cut open, at another time, smoothed, with other surfaces
-next to it, with labels hidden, of another material, or in finer light, with more texels and bands
-for views whose control pixels ask for it.
+"""Variants of a scene: in other or turned light, cut open, at another time, smoothed, with other
+surfaces next to it, with labels hidden, of another material, or in finer light, with more texels
+and bands for views whose control pixels ask for it.
 
 A variant is a scene like any other, by another id, and shares with the original the parts that both
 have.
@@ -31,6 +31,14 @@ from isogi_core.kernels.transport.harmonics import MAX_ORDER
 from isogi_core.model.material import MATERIALS, PinnedSurface
 from isogi_core.model.scene_plan import GLOW_KIND, Layer, ScenePlan
 from isogi_core.model.value_survey import no_progress
+from isogi_core.model.view import (
+    NO_TURN,
+    Turn,
+    angles_of,
+    quaternion_from_angles,
+    quaternion_of,
+    rotation_matrix,
+)
 from isogi_core.model.volume import Isovalue, Volume
 from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.planner import complete
@@ -55,7 +63,7 @@ def remade(
     known = (scene.surfaces.colours, scene.lighting.glowing.bits) if volume else (None, None)
     made = build_scene(replace(scene.source, document=bare), no_progress, volume, *known)
     source = replace(scene.source, document=document)
-    return replace(made, source=source, id=name or made.id, exposed_for=scene.seen)
+    return replace(made, source=source, id=name or made.id, exposed_for=scene.seen, turn=scene.turn)
 
 
 def under(scene: Scene, environment: str, name: str) -> Scene:
@@ -72,6 +80,22 @@ def under(scene: Scene, environment: str, name: str) -> Scene:
             key: value for key, value in document["view"].items() if key != "exposure"
         }
     return remade(scene, document, scene.volume, name)
+
+
+def turned_by(scene: Scene, turn: Turn, name: str) -> Scene:
+    """Make the scene with its environment turned by ``turn``, for views with this turn of the
+    light, by the id ``name``. Walls stay, the volume is shared, and the exposure is that of the
+    scene.
+    """
+    # A scene may have turned its environment itself: the turn of the views comes after that.
+    own = rotation_matrix(quaternion_from_angles(*scene.source.document.get("turned", NO_TURN)))
+    matrix = rotation_matrix(quaternion_from_angles(*turn)) @ own
+    document = {
+        **scene.source.document,
+        "turned": list(angles_of(quaternion_of(matrix))),
+        "view": {**scene.source.document.get("view", {}), "exposure": scene.default_exposure},
+    }
+    return replace(remade(scene, document, scene.volume, name), turn=turn)
 
 
 def cut_open(scene: Scene, cut: str, name: str, volume: Volume | None = None) -> Scene:
@@ -138,7 +162,7 @@ def with_clears(scene: Scene, clears: Clears, name: str) -> Scene:
     document = put_clears(
         scene.source.document, [each.table for each in scene.surfaces.pinned], clears
     )
-    return remade(scene, document | {"rotating": scene.lighting.rotating}, scene.volume, name)
+    return remade(scene, document, scene.volume, name)
 
 
 def at_both_signs(scene: Scene, isovalue: float) -> Scene:

@@ -30,7 +30,7 @@ from isogi_core.model.environment import Lobe
 from isogi_core.model.lights import ENVIRONMENTS, Light
 from isogi_core.model.material import SHINE_KINDS
 from isogi_core.model.scene_plan import Layer
-from isogi_core.model.view import IDENTITY, View
+from isogi_core.model.view import IDENTITY, TURN_STEP, View
 from isogi_core.plan.histograms import shown_histogram
 from isogi_core.plan.left_out import S1_BYTES
 from isogi_core.plan.materials import material_settings
@@ -132,8 +132,9 @@ def scene_schema(scene: Scene) -> SceneSchema:
         environments=[
             EnvironmentSchema(id=number, name=name) for number, name in ENVIRONMENTS.items()
         ],
-        rotating=scene.lighting.rotating,
-        turns=scene.lighting.rotating and scene.plan.representation == "transfer",
+        rotating=scene.lighting.rotating or scene.lighting.turnable,
+        turns=turns(scene),
+        turn_step=TURN_STEP if scene.lighting.baked_by_turn else None,
         view=scene.settings.first.given,
         error_scale=ErrorScale(low=SCALE[0], high=SCALE[1], colours=list(COLOURS)),
         plan=plan_schema(scene),
@@ -343,6 +344,12 @@ def defaults(scene: Scene) -> dict[str, float | str]:
     """
     own = {name: knob.default_of(scene) for name, knob in KNOBS.items()}
     return {name: value for name, value in own.items() if value is not None}
+
+
+def turns(scene: Scene) -> bool:
+    """Return True if a turn of the scene's light is visible."""
+    kept = scene.lighting.rotating and scene.plan.representation == "transfer"
+    return kept or scene.lighting.baked_by_turn
 
 
 def ranges(scene: Scene) -> dict[str, Range]:

@@ -2,26 +2,33 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from typing import TypeVar
 
 from isogi_core.errors import ViewError
 from isogi_core.files.vector import Vector
 from isogi_core.model.material import SHINE_KNOBS, Shine
 from isogi_core.model.view import (
     IDENTITY,
+    NO_TURN,
     Camera,
     Quaternion,
+    Turn,
     View,
     light_in_box,
+    nearest_turn,
     orbit,
     quaternion_from_angles,
     read_window,
     unit_quaternion,
 )
 from isogi_core.plan.scene import Scene
+from isogi_core.plan.variants import turned_by
 from isogi_server.errors import ParameterError
-from isogi_server.parameters import FrameParams, ViewParams
+from isogi_server.parameters import ANGLES, ExportParams, FoldParams, FrameParams, ViewParams
 from isogi_server.settings import Settings
 from isogi_server.values import Span
+
+Params = TypeVar("Params", bound=ViewParams)
 
 
 def view_of(scene: Scene, params: ViewParams, settings: Settings) -> View:
@@ -175,19 +182,68 @@ def camera_of(scene: Scene, params: ViewParams) -> Camera:
     return scene.in_box(camera, params.projection)
 
 
-def light_of(scene: Scene, params: ViewParams) -> Quaternion:
-    """Return the rotation of the light in the axes of the volume's box, a unit quaternion.
-    Raises ViewError if the scene's light cannot be rotated.
+Turnable = ViewParams | ExportParams | FoldParams
+"""Parameters that may turn the light."""
+
+
+def turn_asked(params: Turnable) -> Quaternion:
+    """Return the rotation of the light in the world that the parameters ask for, a unit quaternion.
+    Raises ViewError if theirs is too short or too long.
     """
     if params.light is not None:
-        turn = unit_quaternion(params.light)
-    else:
-        turn = quaternion_from_angles(params.yaw, params.pitch, params.roll)
-    # The identity is no rotation, whatever spells it.
-    if not scene.lighting.rotating and abs(turn[0]) < 1 - 1e-12:
-        raise ViewError(
-            "This scene's light does not turn (rotating = false): leave light and its angles out."
-        )
-    if scene.lighting.rotating:
+        return unit_quaternion(params.light)
+    return quaternion_from_angles(params.yaw, params.pitch, params.roll)
+
+
+def light_of(scene: Scene, params: ViewParams) -> Quaternion:
+    """Return the rotation of the light in the axes of the volume's box, a unit quaternion.
+
+    Light that is baked for each turn is not rotated any more. Raises ViewError if the scene's light
+    cannot be rotated, or is baked for another turn.
+    """
+    turn = turn_asked(params)
+    lighting = scene.lighting
+    if lighting.rotating:
         return light_in_box(turn, scene.volume.orientation)
+    if lighting.baked_by_turn and nearest_turn(turn) != scene.turn:
+        raise ViewError(
+            "This scene's light is baked for each turn, and this is that of another one: leave "
+            "light and its angles out."
+        )
+    # The identity is no rotation, whatever spells it.
+    if not lighting.turnable and abs(turn[0]) < 1 - 1e-12:
+        raise ViewError(
+            "This scene's light does not turn, as it has lamps or says rotating = false: leave "
+            "light and its angles out."
+        )
     return IDENTITY
+
+
+def in_turned_light(scene: Scene, params: ViewParams) -> Scene:
+    """Return the scene whose light is baked for the turn that the parameters ask for, if its light
+    is baked for each turn; else the scene.
+    """
+    turn = turn_baked(scene, params)
+    return scene if turn == scene.turn else turned_by(scene, turn, scene.id)
+
+
+def turn_baked(scene: Scene, params: ViewParams) -> Turn:
+    """Return the turn for which the light of a view is baked; NO_TURN if the scene's light is baked
+    for all turns together, or cannot be turned.
+    """
+    if scene.lighting.baked_by_turn:
+        return nearest_turn(turn_asked(params))
+    return NO_TURN
+
+
+def check_view(scene: Scene, params: ViewParams, settings: Settings) -> None:
+    """Raise as ``view_of`` does, for views of the scene in any turn of the light that it allows."""
+    if scene.lighting.baked_by_turn:
+        turn_asked(params)
+        params = unturned(params)
+    view_of(scene, params, settings)
+
+
+def unturned(params: Params) -> Params:
+    """Return the parameters without a turn of the light."""
+    return params.model_copy(update={"light": None, **dict.fromkeys(ANGLES, 0.0)})

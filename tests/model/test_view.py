@@ -13,9 +13,13 @@ from isogi_core.files.vector import Vector
 from isogi_core.model.choices import VIEW_SHADINGS
 from isogi_core.model.view import (
     IDENTITY,
+    TURN_STEP,
     Camera,
     Quaternion,
+    Turn,
     View,
+    angles_of,
+    nearest_turn,
     orbit,
     quaternion_from_angles,
     rotation_matrix,
@@ -113,6 +117,37 @@ def test_quaternions_are_brought_to_unit_length() -> None:
 def test_quaternions_of_no_length_are_refused(length: float) -> None:
     with pytest.raises(ViewError, match="quaternion"):
         unit_quaternion((length, 0.0, 0.0, 0.0))
+
+
+@given(st.tuples(*[st.floats(-360.0, 360.0)] * 3))
+def test_angles_of_a_turn_are_found_again(angles: tuple[float, float, float]) -> None:
+    q = quaternion_from_angles(*angles)
+    found = rotation_matrix(quaternion_from_angles(*angles_of(q)))
+    np.testing.assert_allclose(found, rotation_matrix(q), atol=1e-4)
+
+
+@given(st.tuples(*[st.integers(-72, 72)] * 3))
+def test_a_turn_in_whole_steps_is_its_own_nearest(steps: tuple[int, int, int]) -> None:
+    q = quaternion_from_angles(*(TURN_STEP * each for each in steps))
+    turn = nearest_turn(q)
+    same = quaternion_from_angles(*turn)
+    np.testing.assert_allclose(rotation_matrix(same), rotation_matrix(q), atol=1e-6)
+    assert nearest_turn(same) == turn == nearest_turn(tuple(-each for each in same))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("angles", "turn"),
+    [
+        ((41.0, 2.0, -2.4), (40.0, 0.0, 0.0)),
+        ((320.0, 0.0, 0.0), (-40.0, 0.0, 0.0)),
+        ((-180.0, 0.0, 0.0), (180.0, 0.0, 0.0)),
+        ((-1.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+        ((30.0, 89.0, 20.0), (10.0, 90.0, 0.0)),
+        ((30.0, -89.0, 20.0), (50.0, -90.0, 0.0)),
+    ],
+)
+def test_turns_are_rounded_to_steps(angles: Turn, turn: Turn) -> None:
+    assert nearest_turn(quaternion_from_angles(*angles)) == turn
 
 
 @pytest.mark.parametrize(

@@ -13,8 +13,10 @@ from isogi_core.cache.scene_assets import files_of
 from isogi_core.errors import SceneError
 from isogi_core.files.radiance import write_hdr
 from isogi_core.files.scene_file import read_clears, split_settings
+from isogi_core.model.environment import Environment, pixel_directions, solid_angles
 from isogi_core.model.lights import EnvironmentLight, ProbeLight
 from isogi_core.model.material import MATERIALS, Material
+from isogi_core.model.view import quaternion_from_angles, rotation_matrix
 from isogi_core.plan.assembly import build_scene, load_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.plan.variants import (
@@ -26,6 +28,7 @@ from isogi_core.plan.variants import (
     has_finer,
     scene_of_side,
     sides_of,
+    turned_by,
     under,
     with_clears,
     with_material,
@@ -91,6 +94,102 @@ def test_a_probe_is_found_beside_the_scene(probe: Path) -> None:
     assert under(scene, str(probe), "a@b").lighting.environment is scene.lighting.environment, (
         "equal probes are kept once"
     )
+
+
+LOBES = {"surfaces": [{"isovalue": 0.012, "albedo": [0.8, 0.3, 0.1]}], "isovalue": 0.06}
+
+
+def probes(folder: Path) -> tuple[Path, Path]:
+    """A probe of 72 columns, 5 degrees each, and the same turned by hand by 40 degrees."""
+    image = np.random.default_rng(4).uniform(0.0, 2.0, (36, 72, 3))
+    image[6:14, 16:26] = 9.0
+    for name, turned in (("own.hdr", image), ("turned.hdr", np.roll(image, 8, axis=1))):
+        write_hdr(folder / name, turned)
+    return folder / "own.hdr", folder / "turned.hdr"
+
+
+def test_turned_light_is_that_of_a_probe_turned_by_hand(tmp_path: Path) -> None:
+    own, by_hand = (
+        load_scene("demo:orbital", environment=str(each), **LOBES) for each in probes(tmp_path)
+    )
+    assert own.lighting.baked_by_turn and not own.lighting.rotating
+    turned = turned_by(own, (40.0, 0.0, 0.0), "turned")
+    environment = turned.lighting.environment
+    assert (environment.image == by_hand.lighting.environment.image).all()
+    assert (environment.image != own.lighting.environment.image).any()
+    assert turned.turn == (40.0, 0.0, 0.0) and turned.volume is own.volume
+    assert turned.default_exposure == own.default_exposure != by_hand.default_exposure
+    assert turned.bake_digest != own.bake_digest
+    for side in sides_of(turned):
+        made = scene_of_side(turned, side, 0.06)
+        assert made.lighting.environment is environment
+        assert build_scene(made.source).bake_digest == made.bake_digest, "as workers open it"
+
+
+@pytest.mark.parametrize("yaw", [7.0, 40.0, -95.0])
+@pytest.mark.parametrize("pitch", [0.0, 25.0])
+def test_light_is_turned_as_views_turn_kept_light(tmp_path: Path, yaw: float, pitch: float) -> None:
+    """After the turn that the scene gives its environment itself."""
+    scene = load_scene(
+        "demo:orbital", environment=str(probes(tmp_path)[0]), turned=[10.0, 5.0, 0.0], **LOBES
+    )
+    first = rotation_matrix(quaternion_from_angles(10.0, 5.0, 0.0))
+    turn = rotation_matrix(quaternion_from_angles(yaw, pitch, 0.0))
+    turned = turned_by(scene, (yaw, pitch, 0.0), "turned").lighting.environment
+    own = load_scene("demo:orbital", environment=str(probes(tmp_path)[0]), **LOBES)
+    towards, spread = moments(own.lighting.environment)
+    matrix = turn @ first
+    for found, expected, former in zip(
+        moments(turned),
+        (matrix @ towards, matrix @ spread @ matrix.T),
+        (towards, spread),
+        strict=True,
+    ):
+        size = np.abs(expected).max()
+        np.testing.assert_allclose(found, expected, atol=0.02 * size)
+        assert np.abs(former - expected).max() > 0.03 * size
+
+
+def moments(environment: Environment) -> tuple[np.ndarray, np.ndarray]:
+    """The means of d (3,) and of d dᵀ (3, 3) over the radiance from all directions d."""
+    size = environment.image.shape[:2]
+    directions = pixel_directions(*size)
+    weights = solid_angles(*size) * environment.image.mean(axis=-1)
+    spread = np.einsum("hw,hwi,hwj->ij", weights, directions, directions)
+    return np.einsum("hw,hwi->i", weights, directions), spread
+
+
+def test_a_turn_about_z_moves_columns_and_keeps_energy(tmp_path: Path) -> None:
+    scene = load_scene("demo:orbital", environment=str(probes(tmp_path)[0]), **LOBES)
+    own = scene.lighting.environment
+    half = turned_by(scene, (2.5, 0.0, 0.0), "half").lighting.environment
+    expected = 0.5 * (own.image.astype(np.float64) + np.roll(own.image, 1, axis=1))
+    np.testing.assert_allclose(half.image, expected, rtol=1e-6)
+    np.testing.assert_allclose(half.mean(), own.mean(), rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("settings", "turnable"),
+    [
+        ({}, True),
+        ({"rotating": False}, False),
+        ({"lights": [{"type": "sky"}, {"type": "directional"}]}, False),
+        ({"surfaces": None}, False),
+    ],
+)
+def test_light_is_baked_for_each_turn_where_none_is_kept_for_all(
+    settings: dict[str, Any], turnable: bool
+) -> None:
+    given = {**LOBES, "lights": [{"type": "sky"}], **settings}
+    scene = load_scene(
+        "demo:orbital", **{key: value for key, value in given.items() if value is not None}
+    )
+    assert scene.lighting.turnable == turnable == scene.lighting.baked_by_turn
+
+
+def test_even_light_is_baked_for_no_turn() -> None:
+    lighting = load_scene("demo:orbital", lights=[{"type": "constant"}], **LOBES).lighting
+    assert lighting.turnable and not lighting.baked_by_turn
 
 
 def test_a_targets_light_may_follow_its_name() -> None:
@@ -312,7 +411,7 @@ def test_a_scene_with_other_clears_is_one_of_its_own(scene: Scene) -> None:
     )
     assert build_scene(changed.source).bake_digest == changed.bake_digest, "as workers open it"
     alone = with_clears(scene, (None, None), "alone")
-    assert not alone.surfaces.several and not alone.lighting.rotating
+    assert not alone.surfaces.several and alone.lighting.rotating, "light of one surface turns"
 
 
 @pytest.mark.parametrize(

@@ -54,7 +54,9 @@ def test_a_material_is_chosen_and_the_picture_follows(page: Page, live_server: s
     glass = pixels(wait_final(page))
     assert np.abs(glass - own).mean() > 2.0 and material(page) == "glass"
     page.select_option("#material-kind", "subsurface")
-    expect(page.locator("#light-note")).to_have_text("The light of this scene is fixed.")
+    expect(page.locator("#light-note")).to_have_text(
+        "Turns in steps of 5°: each is baked when it is shown."
+    )
     wax = pixels(wait_final(page))
     assert np.abs(wax - own).mean() > 0.5 and np.abs(wax - glass).mean() > 0.5
     page.select_option("#material-kind", "diffuse")

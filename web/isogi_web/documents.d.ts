@@ -562,14 +562,16 @@ export interface SceneList {
  * volume. `stops` are ascending isovalues between which the surface moves about equally far;
  * `stops_note` says where they are evenly spaced instead, empty if nowhere. `rotating` is true
  * if the light may be rotated, `turns` if a rotation is visible: it is not if the light is the
- * same from all sides. `albedos` is the range that views may ask for, null if they may not.
- * `shines` are the kinds of shine that views may ask for, none if the surface is diffuse.
- * `cuts` is true if the voxels lie along the world's axes, so that planes across these may cut
- * the volume. `colours` is the scale of a surface whose albedo comes from data; `albedo` is
- * then the most that it reflects. `surfaces` are pinned isosurfaces; the sliding one lets the
- * share `clear` of rays pass, and transmits `transmission` diffusely. `material` is the
- * present material as views spell it, and `materials` are all, with reasons why some are
- * refused. `view` holds the parameters of the first view that the scene file gives.
+ * same from all sides. `turn_step` is the step in degrees to which yaw, pitch and roll are
+ * rounded if light is baked for each turn, null if all turns share the light that is kept.
+ * `albedos` is the range that views may ask for, null if they may not. `shines` are the kinds
+ * of shine that views may ask for, none if the surface is diffuse. `cuts` is true if the voxels
+ * lie along the world's axes, so that planes across these may cut the volume. `colours` is the
+ * scale of a surface whose albedo comes from data; `albedo` is then the most that it reflects.
+ * `surfaces` are pinned isosurfaces; the sliding one lets the share `clear` of rays pass, and
+ * transmits `transmission` diffusely. `material` is the present material as views spell it,
+ * and `materials` are all, with reasons why some are refused. `view` holds the parameters of
+ * the first view that the scene file gives.
  */
 export interface Scene {
   id: string;
@@ -600,6 +602,7 @@ export interface Scene {
   environments: Array<Environment>;
   rotating: boolean;
   turns: boolean;
+  turn_step: number | null;
   view: Record<string, number | string | [number, number, number]>;
   error_scale: ErrorScale;
   plan: Plan;

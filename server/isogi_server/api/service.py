@@ -22,7 +22,7 @@ from isogi_core.errors import IsogiError, NoRoomError, StoreError
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.tiles import Stopwatch
 from isogi_core.kernels.shading.framebuffer import PROVISIONAL
-from isogi_core.model.view import View
+from isogi_core.model.view import View, nearest_turn
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index
 from isogi_server.answers import scene_schema
@@ -51,7 +51,7 @@ from isogi_server.render.variants import Variants
 from isogi_server.render.viewers import request_viewer, run_while_connected
 from isogi_server.settings import Settings
 from isogi_server.uploads.uploads import Uploads
-from isogi_server.views import view_of
+from isogi_server.views import Turnable, turn_asked, view_of
 from isogi_worker.bake_requests import Viewer
 from isogi_worker.progress import TimeLeft
 
@@ -188,13 +188,17 @@ class Service:
 
     async def variant(self, scene: Scene, params: LightParams, client: Hashable) -> Scene:
         """Return the variant of a scene that the parameters of a ``client`` ask for: light, cut,
-        time, material, surfaces, hidden labels. Return the scene itself if they change nothing.
+        time, material, surfaces, hidden labels, turn. Return the scene itself if they change
+        nothing.
 
-        Raises ParameterError if it cannot be made, and StartingError until the engine is open.
+        Raises ParameterError if it cannot be made, ViewError for a turn without meaning, and
+        StartingError until the engine is open.
         """
         change = Change(params.environment)
         if isinstance(params, VariantParams):
             change = Change(**params.model_dump(include={*VariantParams.model_fields}))
+        if isinstance(params, Turnable):
+            change = replace(change, turn=nearest_turn(turn_asked(params)))
         if change != Change():
             self.startup.check()
         return await self.variants.of(scene, change, client)

@@ -45,7 +45,7 @@ from isogi_server.prewarm.order import Levels, levels_of
 from isogi_server.progress import Progress, open_scene
 from isogi_server.render.stores import root_of
 from isogi_server.settings import Settings
-from isogi_server.views import view_of
+from isogi_server.views import in_turned_light, turn_baked, view_of
 
 MOST_TURNS = 1000
 """Rotations of the light that are written by one command, at most."""
@@ -87,6 +87,14 @@ def export(
         path: read(ViewParams, {**turn, "isovalue": levels.spans[0][0]}.items())
         for path, turn in files.items()
     }
+    # Light that is baked for each turn is that of one file.
+    turns = {turn_baked(scene, each) for each in params.values()}
+    if len(turns) > 1:
+        raise ParameterError(
+            "yaw has several turns, and this scene's light is baked for each: export one by one.",
+            "yaw",
+        )
+    scene = in_turned_light(scene, next(iter(params.values())))
     views = {path: view_of(scene, each, settings) for path, each in params.items()}
     for path in files:
         check_writable(path)

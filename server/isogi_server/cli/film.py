@@ -26,7 +26,7 @@ from isogi_server.pictures import smoothed
 from isogi_server.progress import open_scene
 from isogi_server.settings import Settings
 from isogi_server.values import document_in
-from isogi_server.views import view_of, with_first_view
+from isogi_server.views import check_view, with_first_view
 
 MOST_FRAMES = 100_000
 """Frames of a film, at most."""
@@ -99,7 +99,7 @@ def film(
     if request.is_movie:
         check_movie(request.output, shots[0].width, shots[0].height)
     for shot in shots:
-        view_of(scene, shot, settings)
+        check_view(scene, shot, settings)
     reel = Reel(
         request.folder, scene, {FRAME_FILE_NAME % n: shot for n, shot in enumerate(shots, 1)}
     )

@@ -27,7 +27,7 @@ from isogi_server.prewarm.order import stepped
 from isogi_server.progress import open_scene
 from isogi_server.settings import Settings
 from isogi_server.values import finite, shown
-from isogi_server.views import view_of, with_first_view
+from isogi_server.views import check_view, with_first_view
 
 MOST_PICTURES = 100_000
 """Pictures of a grid, at most."""
@@ -84,7 +84,7 @@ def publish(
         sliders, {**knobs, "max_error": repr(request.target_error or scene.target_error)}
     )
     for shot in shots.values():
-        view_of(scene, shot, settings)
+        check_view(scene, shot, settings)
     reel = Reel(request.output, scene, shots)
     reel.shoot(request, settings)
     page = page_of(scene, sliders, reel, request.caption or "")

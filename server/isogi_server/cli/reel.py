@@ -35,7 +35,7 @@ from isogi_server.render.engine import RenderEngine
 from isogi_server.render.scene_variant import Change, SceneVariant
 from isogi_server.render.variants import Variants
 from isogi_server.settings import Settings
-from isogi_server.views import view_of
+from isogi_server.views import turn_baked, view_of
 from isogi_worker.progress import ASSUMED_WORK_RATIOS, TimeLeft
 
 RECORD_WRITE_SECONDS = 1.0
@@ -45,7 +45,9 @@ are made again.
 
 
 OPEN_STEPS = 2
-"""Steps of a series that are open at a time, in addition to the scene's."""
+"""Steps of a series, and turns of light that is baked for each turn, that are open at a time, in
+addition to the scene's.
+"""
 
 
 @dataclass(frozen=True)
@@ -199,7 +201,7 @@ class Reel:
             begun = request.clock()
             shot = shots[name]
             seconds = request.share(len(missing) - done)
-            scene = self._at(variants, shot.time)
+            scene = self._shown(variants, shot)
             step = nullcontext() if scene is self._scene else at_step(scene.volume.moment[0])
             with step:
                 view = view_of(scene, shot, settings)
@@ -235,11 +237,12 @@ class Reel:
         elif this_one and not frame.final:
             bar.show(*counts, note=f"this one: {left_text(this_one)}")
 
-    def _at(self, variants: Variants, time: int | None) -> Scene:
-        """Return the scene at a step of its series; the scene itself if none is named. Raises
-        ParameterError.
+    def _shown(self, variants: Variants, shot: FrameParams) -> Scene:
+        """Return the scene at the step of its series, and in the turned light, that a ``shot`` asks
+        for; the scene itself if it needs no other. Raises ParameterError.
         """
-        variant = SceneVariant.of(self._scene, Change(time=time))
+        change = Change(time=shot.time, turn=turn_baked(self._scene, shot))
+        variant = SceneVariant.of(self._scene, change)
         if variant.any:
             return variants.make(self._scene, variant, None)
         return self._scene

@@ -7,6 +7,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,7 +23,7 @@ from isogi_core.frame.frame import TAIL, Frame
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
 from isogi_core.model.choices import PROJECTIONS
-from isogi_core.model.view import View
+from isogi_core.model.view import NO_TURN, View
 from isogi_core.plan.scene import Scene
 from isogi_core.plan.variants import at_both_signs
 from isogi_core.prepared.prepared_scene import PreparedScene
@@ -43,7 +44,14 @@ from isogi_server.progress import Progress, compiling, open_scene
 from isogi_server.render.engine import RenderEngine, engine_for
 from isogi_server.render.patience import Patience, time_limit
 from isogi_server.settings import Settings
-from isogi_server.views import PLACING, isovalue_of, view_of, with_first_view
+from isogi_server.views import (
+    PLACING,
+    in_turned_light,
+    isovalue_of,
+    unturned,
+    view_of,
+    with_first_view,
+)
 from isogi_worker.errors import WorkersError
 from isogi_worker.progress import TimeLeft
 
@@ -81,7 +89,7 @@ def render(
     knobs = with_first_view(scene, knobs)
     params = smoothed(read(FrameParams, [*knobs.items(), ("f", form)]), form)
     format_for(params, None)
-    scene = at_both_signs(scene, isovalue_of(scene, params))
+    scene = in_turned_light(at_both_signs(scene, isovalue_of(scene, params)), params)
     view_of(scene, params, settings)
     pixel = NPY_PIXEL_BYTES if form == "npy" else PACKED_PIXEL_BYTES
     check_writable(output, pixel * params.width * params.height)
@@ -292,7 +300,9 @@ def from_front(scene: Scene, shot: FrameParams) -> FrameParams:
 
 def stand_of(scene: Scene, shot: FrameParams, settings: Settings) -> Stand:
     """Return the direction that the camera of a picture looks from."""
-    view = view_of(scene, shot.model_copy(update={"projection": PROJECTIONS[0]}), settings)
+    # The camera does not depend on the light.
+    update = {"projection": PROJECTIONS[0]}
+    view = view_of(replace(scene, turn=NO_TURN), unturned(shot).model_copy(update=update), settings)
     return Stand(view, shot.azimuth, shot.elevation)
 
 
@@ -388,8 +398,9 @@ def reference(
     """
     check_file(output)
     scene = open_scene(target, settings)
-    view = view_of(scene, read(ViewParams, knobs.items()), settings)
-
+    params = read(ViewParams, knobs.items())
+    scene = in_turned_light(scene, params)
+    view = view_of(scene, params, settings)
     return grow_file(with_bounces(scene, bounces), view, output, Goal(**goal))
 
 

@@ -18,7 +18,7 @@ from isogi_core.files.scene_file import (
     read_material_text,
     write_material_text,
 )
-from isogi_core.model.view import read_window
+from isogi_core.model.view import NO_TURN, Turn, read_window
 from isogi_core.plan.scene import Scene
 from isogi_core.plan.variants import made_of
 from isogi_server.errors import ParameterError
@@ -28,12 +28,13 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Change:
-    """The changes of a scene that a request asks for, as its parameters spell them; None for each
-    part that is unchanged.
+    """The changes of a scene that a request asks for, as its parameters spell them; None, or
+    NO_TURN, for each part that is unchanged.
 
     ``environment`` is a name or an id, ``cut`` the text of planes, ``time`` a step of the series,
     ``smooth`` a width in voxels, ``surfaces`` the shares of rays that pass pinned surfaces,
-    ``hide`` the labels that are not shown, ``material`` a name with numbers.
+    ``hide`` the labels that are not shown, ``material`` a name with numbers, ``turn`` the angles of
+    the light.
     """
 
     environment: str | None = None
@@ -43,6 +44,7 @@ class Change:
     surfaces: str | None = None
     hide: str | None = None
     material: str | None = None
+    turn: Turn = NO_TURN
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,8 @@ class SceneVariant:
 
     ``clears`` are the shares of rays that pass pinned surfaces, ``hidden`` the labels that are not
     shown, ``smooth`` a width in voxels and ``cut`` the text of planes. ``material`` is a text for
-    ``read_material_text``, in a form that is equal for equal materials.
+    ``read_material_text``, in a form that is equal for equal materials. ``turn`` is the turn of the
+    light that the variant's light is baked for; None where the light is kept so that it turns.
     """
 
     base: str
@@ -62,6 +65,7 @@ class SceneVariant:
     time: int | None = None
     smooth: float | None = None
     cut: str | None = None
+    turn: Turn | None = None
 
     @classmethod
     def of(cls, scene: Scene, change: Change) -> "SceneVariant":
@@ -90,7 +94,10 @@ class SceneVariant:
             smooth = None
         else:
             smooth = change.smooth
-        return cls(scene.id, change.environment, clears, material, hidden, time, smooth, change.cut)
+        turn = None if change.turn == NO_TURN else change.turn
+        return cls(
+            scene.id, change.environment, clears, material, hidden, time, smooth, change.cut, turn
+        )
 
     @property
     def settings(self) -> MaterialSettings | None:
@@ -124,6 +131,7 @@ class SceneVariant:
             ("!", hidden),
             ("+", self.time),
             ("*", self.smooth),
+            ("^", self.turn and ",".join(f"{angle:g}" for angle in self.turn)),
         )
         lit = "".join(f"{mark}{part}" for mark, part in parts if part is not None)
         # A cut is any number of planes: its digest keeps the id short.
@@ -140,6 +148,11 @@ class SceneVariant:
     def whole(self) -> "SceneVariant":
         """Return the same variant without its cut."""
         return replace(self, cut=None)
+
+    @property
+    def unturned(self) -> "SceneVariant":
+        """Return the same variant without its turn of the light."""
+        return replace(self, turn=None)
 
     @property
     def voxels(self) -> tuple[str, Hidden | None, int | None, float | None]:

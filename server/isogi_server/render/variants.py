@@ -1,5 +1,5 @@
 """Variants of an engine's scenes, made on request: other light, time, material or surfaces, hidden
-labels, or a cut.
+labels, a cut, or a turn of light that is baked for each turn.
 
 A variant is a scene like any other, with a plan and the layers that it needs. Transfer does not
 depend on the environment: variants in other light read and bake the same layers if their plans are
@@ -25,6 +25,7 @@ from isogi_core.plan.variants import (
     at_time,
     cut_open,
     smoothed_by,
+    turned_by,
     under,
     with_clears,
     with_hidden,
@@ -48,6 +49,10 @@ than there is.
 MOST_STEPS = 2
 """Time steps other than their scene's, of all variants at a time, if their voxels need more
 memory than there is.
+"""
+
+MOST_TURNS = 8
+"""Variants in turned light at a time: each has an environment with an image of its own, some 10 MB.
 """
 
 VARIANTS_TAKEN = (
@@ -111,8 +116,16 @@ class Variants:
         if there is no such environment, BusyError if the variants of others take too long, and the
         errors of ``make``.
         """
-        # Answer at once if nothing is to be made, or if the environment's name is wrong.
         variant = SceneVariant.of(scene, change)
+        unturned = await self._of(scene, variant.unturned, client)
+        # A turn makes a variant only if light is baked for each turn.
+        if variant.turn is None or not unturned.lighting.baked_by_turn:
+            return unturned
+        return await self._of(scene, variant, client)
+
+    async def _of(self, scene: Scene, variant: SceneVariant, client: Hashable) -> Scene:
+        """Return a ``variant`` of the scene, made if need be. Raises as ``of`` does."""
+        # Answer at once if nothing is to be made, or if the environment's name is wrong.
         if not variant.any:
             return scene
         place = self._placed(variant)
@@ -193,6 +206,8 @@ class Variants:
                 made = self._made_of(made, name, settings)
             if place is not None:
                 made = self._lit(made, name, place)
+            if variant.turn is not None:
+                made = turned_by(made, variant.turn, name)
             if variant.cut is not None:
                 made = self._cut(made, name, variant.cut)
             if made.surfaces.material != scene.surfaces.material:
@@ -233,6 +248,9 @@ class Variants:
                 old = cuts[: max(len(cuts) - self._most_cuts, 0)]
             else:
                 old = []
+            # Keep the newest turns of the light.
+            turned = [each for each in asked if asked[each].turn is not None and each not in old]
+            old += turned[: max(len(turned) - MOST_TURNS, 0)]
             # If voxels of all need too much memory, keep the variants of the newest time steps.
             steps = {
                 (each.base, each.time): None

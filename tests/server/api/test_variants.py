@@ -9,7 +9,9 @@ import httpx
 import numpy as np
 import pytest
 
+from isogi_core.errors import ViewError
 from isogi_core.model.lights import ENVIRONMENTS
+from isogi_core.model.view import IDENTITY
 from isogi_core.plan.assembly import load_scene
 from isogi_server.parameters import FrameParams
 from isogi_server.render.engine import RenderEngine
@@ -111,7 +113,8 @@ def test_the_document_tells_materials_and_is_of_the_one_named(client: httpx.Clie
     )
     assert told["glass"]["numbers"] == {"index": 1.5, "absorption": 0.0}
     assert told["subsurface"]["numbers"]["mean_free_path"] > 0 and told["diffuse"]["numbers"] == {}
-    assert own["turns"] and not wax["turns"]
+    assert own["turns"] and wax["turns"] and wax["rotating"]
+    assert (own["turn_step"], wax["turn_step"]) == (None, 5.0), "wax is baked for each turn"
     assert wax["plan"]["representation"] == "irradiance"  # type: ignore[index]
 
 
@@ -154,6 +157,57 @@ async def test_a_stream_changes_light_and_material(live_server: str) -> None:
     lights = [{"environment": each} for each in ("studio", "evening")]
     materials = [{"material": each} for each in ("diffuse", "glass", "glass,index=2")]
     assert len(set(await pictures_on(f"{live_server}{SCENE}/stream", [*lights, *materials]))) == 5
+
+
+def test_light_that_no_texel_keeps_for_all_turns_is_baked_for_each(client: httpx.Client) -> None:
+    wax = {"material": "subsurface,mean_free_path=1"}
+    own = final(client, **SMALL, **wax, max_error=0.2)
+    turned = final(client, **SMALL, **wax, max_error=0.2, yaw=178)
+    assert turned.headers["etag"] != own.headers["etag"]
+    on = numbers(own)[..., 3] > 0
+    assert (on == (numbers(turned)[..., 3] > 0)).all(), "the same surface"
+    change = np.abs(numbers(turned)[on, :3] - numbers(own)[on, :3]).mean()
+    assert change > 0.1 * numbers(own)[on, :3].mean()
+    again = client.get(
+        f"{SCENE}/frame",
+        params={**SMALL, **wax, "max_error": 0.2, "yaw": 180},
+        headers={"If-None-Match": turned.headers["etag"]},
+    )
+    assert again.status_code == 304, "angles are rounded to steps of 5 degrees"
+    twice = client.get(f"{SCENE}/frame", params={**SMALL, **wax, "light": "0,0,0,1"})
+    assert twice.headers["isogi-provisional"] == "?0", "a quaternion of the same turn"
+
+
+def test_a_turn_that_is_none_is_422(client: httpx.Client) -> None:
+    wax = {"material": "subsurface,mean_free_path=1"}
+    answer = client.get(f"{SCENE}/frame", params={**wax, "light": "0,0,0,0"})
+    assert answer.status_code == 422 and "quaternion" in answer.json()["detail"]
+
+
+async def test_few_turns_are_kept(tmp_path: Path) -> None:
+    surfaces = [{"isovalue": 0.012, "albedo": [0.8, 0.3, 0.1]}]
+    scene = load_scene("demo:orbital", lights=[{"type": "sky"}], surfaces=surfaces)
+    with closing(RenderEngine([scene], tmp_path / "light", workers=1)) as engine:
+        variants = Variants(engine, lambda name: name)
+        for yaw in range(0, 60, 5):
+            shown = await variants.of(scene, Change(turn=(float(yaw), 0.0, 0.0)))
+            assert shown.turn == (yaw, 0.0, 0.0)
+        assert await variants.of(scene, Change(turn=(0.0, 0.0, 0.0))) is scene
+        assert list(engine.scenes) == [
+            "orbital",
+            *(f"orbital@^{yaw},0,0" for yaw in range(20, 60, 5)),
+        ]
+        again = engine.again("orbital@^5,0,0")
+        assert again is not None and again.turn == (5.0, 0.0, 0.0)
+        with pytest.raises(ViewError, match="baked for each turn"):
+            view_of(again, FrameParams(yaw=40.0), Settings())
+        assert view_of(again, FrameParams(yaw=6.0), Settings()).light == IDENTITY
+
+
+async def test_light_that_is_kept_for_all_turns_makes_no_variant(engine: RenderEngine) -> None:
+    own = engine.scenes["small"]
+    assert await Variants(engine, lambda name: name).of(own, Change(turn=(40.0, 0.0, 0.0))) is own
+    assert view_of(own, FrameParams(yaw=41.0), Settings()).light != IDENTITY
 
 
 async def test_few_variants_are_kept(engine: RenderEngine) -> None:

@@ -74,7 +74,7 @@ def test_the_document_of_a_scene_tells_its_surfaces() -> None:
     assert told["surfaces"] == [
         {**HALO, "albedo": (0.4, 0.6, 0.9), "transmission": (0.0, 0.0, 0.0)}
     ]
-    assert told["clear"] == 0.25 and told["rotating"] is False
+    assert told["clear"] == 0.25 and told["rotating"] is True and told["turn_step"] == 5.0
 
 
 def test_a_report_of_several_surfaces_is_refused(tmp_path: Path) -> None:

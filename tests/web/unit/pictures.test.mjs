@@ -2,7 +2,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import zlib from "node:zlib";
 import { withNotes } from "../../../web/isogi_web/net/bytes.js";
-import { MirrorBall, ballPixels } from "../../../web/isogi_web/panels/light.js";
+import { MirrorBall, ballPixels, noteOf } from "../../../web/isogi_web/panels/light.js";
 import { emptyInWords, errorInWords, frameInWords, leftAfter, leftInWords, millisecondsInWords, niceStep, rangeInWords, shadingName, shareInWords, showNumber, timeInWords } from "../../../web/isogi_web/view/format.js";
 import { SCENE, facts, knobs } from "./fixtures.mjs";
 
@@ -217,4 +217,11 @@ test("a frame below its target says why it is not done", () => {
 
 test("an unknown shading is called by its id", () => {
   assert.deepEqual(["gi", "new_one"].map(shadingName), ["Global illumination", "new_one"]);
+});
+
+test("the page says how the light turns", () => {
+  assert.equal(noteOf({ turns: true, rotating: true, turn_step: null }), "");
+  assert.match(noteOf({ turns: true, rotating: true, turn_step: 5 }), /in steps of 5°: each is baked/);
+  assert.match(noteOf({ turns: false, rotating: true, turn_step: null }), /the same from all sides/);
+  assert.match(noteOf({ turns: false, rotating: false, turn_step: null }), /is fixed/);
 });

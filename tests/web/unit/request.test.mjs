@@ -112,6 +112,15 @@ test("a light that cannot be turned is no part of a request", () => {
   assert.ok(!["yaw", "pitch", "roll"].some((name) => name in query));
 });
 
+test("a light that is baked for each turn is asked for in steps", () => {
+  const baked = { ...SCENE, turn_step: 5 };
+  const angles = ({ yaw, pitch, roll }) => [yaw, pitch, roll];
+  assert.deepEqual(angles(frameQuery(baked, knobs({ yaw: 41.9, pitch: -2.4, roll: 3 }), SIZE)), [40, 0, 5]);
+  assert.deepEqual(angles(frameQuery(baked, knobs({ yaw: 320 }), SIZE)), [-40, 0, 0]);
+  assert.deepEqual(angles(frameQuery(SCENE, knobs({ yaw: 41.9 }), SIZE)), [41.9, 0, 0]);
+  assert.ok(!("yaw" in frameQuery({ ...baked, turns: false }, knobs({ yaw: 41.9 }), SIZE)));
+});
+
 test("an albedo is asked for only where the view changed it", () => {
   const view = new ViewModel(PAINTED);
   assert.ok(!("albedo" in frameQuery(PAINTED, view.values, SIZE)));

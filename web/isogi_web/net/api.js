@@ -138,17 +138,17 @@ export async function probeScene(id) {
  * @param {string} id
  * @param {Partial<Pick<Knobs, "environment"|"material">>} knobs of the view; "" stands for the
  *   scene's light or material
- * @returns {Promise<Pick<Scene, "lights"|"plan"|"defaults"|"rotating"|"turns">>}
+ * @returns {Promise<Pick<Scene, "lights"|"plan"|"defaults"|"rotating"|"turns"|"turn_step">>}
  */
 export async function readLight(id, { environment, material }) {
   const query = new URLSearchParams({
     ...(environment && { environment }),
     ...(material && { material }),
   });
-  const { lights, plan, defaults, rotating, turns } = await (
+  const { lights, plan, defaults, rotating, turns, turn_step } = await (
     await ask(`${scenePath(id)}?${query}`)
   ).json();
-  return { lights, plan, defaults, rotating, turns };
+  return { lights, plan, defaults, rotating, turns, turn_step };
 }
 
 /**

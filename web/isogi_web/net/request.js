@@ -7,6 +7,7 @@ import { albedoQuery } from "../view/albedo.js";
 import { exactValue, shadingName } from "../view/format.js";
 import { NUMBERS } from "../view/model.js";
 import { partPlanes } from "../view/planes.js";
+import { inSteps } from "../view/rotation.js";
 import { idleKnobs } from "../view/surfaces.js";
 
 /** @typedef {import("../view/model.js").Knobs} Knobs */
@@ -34,7 +35,8 @@ const LIGHT_KNOBS = new Set(["yaw", "pitch", "roll"]);
 
 /**
  * Return the parameters of the request for a view's picture.
- * @param {Pick<Scene, "turns"|"albedo"|"albedos"> & Partial<Pick<Scene, "defaults">>} scene
+ * @param {Pick<Scene, "turns"|"albedo"|"albedos"> & Partial<Pick<Scene, "defaults"|"turn_step">>}
+ *   scene
  * @param {Knobs} values knobs of the view
  * @param {{width: number, height: number}} size pixels
  * @param {boolean} [moving] true if the view goes on changing: cuts are then shown as windows,
@@ -53,6 +55,7 @@ export function frameQuery(scene, values, { width, height }, moving = false) {
   const numbers = given.filter((name) => !plain(name) && (scene.turns || !LIGHT_KNOBS.has(name)));
   return {
     ...Object.fromEntries(numbers.map((name) => [name, values[name]])),
+    ...(scene.turns && scene.turn_step && inSteps(values, scene.turn_step)),
     ...(!idle.includes("albedo") && albedoQuery(scene, values)),
     ...(values.shine && { shine: values.shine }),
     ...(values.projection !== (scene.defaults?.projection ?? "perspective") && {

@@ -6,7 +6,7 @@
 import { find } from "../dom.js";
 import { readSky } from "../net/api.js";
 import { ARROWS } from "../view/keys.js";
-import { cameraAxes, fromAngles, rollLight, turnVector } from "../view/rotation.js";
+import { cameraAxes, fromAngles, inSteps, rollLight, turnVector } from "../view/rotation.js";
 
 /** @typedef {import("../net/schemas.js").Scene} Scene */
 /** @typedef {import("../view/model.js").ViewModel} ViewModel */
@@ -37,22 +37,24 @@ export function attachLight(section, scene, view, onRest) {
   const globe = find(section, "#globe", HTMLCanvasElement);
   /** @type {MirrorBall|null} */
   let ball = null;
+  /** Return a view in the turn of the light that its picture has. @param {LightAndCamera} values */
+  const asLit = (values) => ({ ...values, ...inSteps(values, scene.turn_step) });
   const show = async () => {
     explain(section, scene);
     if (find(section, ".light").hidden) return;
     const painted = await makeBall(globe, scene, view.values.environment);
     if (!painted) return; // the knobs replace the ball
     ball = painted;
-    ball.draw(view.values);
+    ball.draw(asLit(view.values));
     globe.dataset.painted = "";
   };
   // Draw the ball only while it is in sight.
   let seen = false;
   new IntersectionObserver((changes) => {
     seen = changes.at(-1)?.isIntersecting ?? seen;
-    if (seen) ball?.draw(view.values);
+    if (seen) ball?.draw(asLit(view.values));
   }).observe(globe);
-  view.subscribe((values) => seen && ball?.draw(values));
+  view.subscribe((values) => seen && ball?.draw(asLit(values)));
   attachDrag(globe, scene, view, onRest);
   attachArrows(globe, scene, view);
   show();
@@ -75,18 +77,26 @@ const FIXED = { role: "img", "aria-label": "The light, seen in a mirror ball" };
  * @param {HTMLElement} section
  * @param {Scene} scene
  */
-function explain(section, { turns, rotating, lights }) {
+function explain(section, { turns, rotating, lights, turn_step }) {
   const [note, ball, globe] = ["#light-note", ".light", "#globe"].map((each) =>
     find(section, each),
   );
-  note.textContent = rotating
-    ? "The light is the same from all sides."
-    : "The light of this scene is fixed.";
-  note.hidden = turns;
+  note.textContent = noteOf({ turns, rotating, turn_step });
+  note.hidden = !note.textContent;
   ball.hidden = !turns && (rotating || !lights.some(({ type }) => FROM_AFAR.has(type)));
   find(ball, "div").hidden = !turns;
   for (const name of Object.keys(TURNED)) globe.removeAttribute(name);
   for (const [name, text] of Object.entries(turns ? TURNED : FIXED)) globe.setAttribute(name, text);
+}
+
+/**
+ * Return the sentence that says how the light can be turned; "" if it turns at once.
+ * @param {Pick<Scene, "turns"|"rotating"|"turn_step">} scene
+ * @returns {string}
+ */
+export function noteOf({ turns, rotating, turn_step }) {
+  if (turns) return turn_step ? `Turns in steps of ${turn_step}°: each is baked when it is shown.` : "";
+  return rotating ? "The light is the same from all sides." : "The light of this scene is fixed.";
 }
 
 /**

@@ -87,6 +87,21 @@ export function toAngles([w, x, y, z]) {
 }
 
 /**
+ * Return the angles rounded as the server rounds them if it bakes the light of each turn.
+ * @param {Angles} angles
+ * @param {number|null|undefined} step degrees; null if any turn is lit by the light that is kept
+ * @returns {Angles}
+ */
+export function inSteps(angles, step) {
+  const { yaw, pitch, roll } = angles;
+  if (!step) return { yaw, pitch, roll };
+  // Angles out of their usual ranges stand for a turn within them. Adding 0 turns -0 into 0.
+  const turn = toAngles(fromAngles(angles));
+  const near = (/** @type {number} */ angle) => step * Math.round(angle / step) + 0;
+  return { yaw: near(turn.yaw), pitch: near(turn.pitch), roll: near(turn.roll) };
+}
+
+/**
  * Rotate a vector.
  * @param {Quaternion} q
  * @param {Vec3} v
