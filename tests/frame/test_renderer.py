@@ -465,7 +465,7 @@ def test_the_first_picture_is_the_same_about_any_normals(
     assert near.version == own.version and (near.radiance[near.state > 0] > 0.0).all()
 
 
-def test_a_picture_is_drawn_again_only_after_its_light_has_changed(workbench: Make) -> None:
+def test_a_picture_is_drawn_again_when_its_light_changed(workbench: Make) -> None:
     """Clients that wait for light ask for the same picture many times a second."""
     bench = workbench(load_scene("demo:casting", lights=[SKY], target_error=LOOSE))
     view = bench.view(size=32)
@@ -487,7 +487,7 @@ def test_a_picture_is_drawn_again_only_after_its_light_has_changed(workbench: Ma
     "settings",
     [{"room": "cornell"}, {"shine": {"kind": "plastic"}, "lights": [SKY]}],
 )
-def test_a_picture_with_other_light_than_texels_is_drawn_each_time(
+def test_a_picture_with_walls_or_shine_is_drawn_each_time(
     settings: dict[str, Any], workbench: Make
 ) -> None:
     """Walls and shine get light of their own, which no page pool counts."""

@@ -24,7 +24,7 @@ BYTES_PER_VOXEL = 32
 """Bytes per voxel, about, that finding pieces takes: values, their order, ranks and parents."""
 
 
-LARGEST = "largest"
+LARGEST_PIECE = "largest"
 """Word of a scene for the least size that leaves one piece at the scene's isovalue."""
 
 
@@ -43,7 +43,7 @@ def read_pieces(settings: Settings) -> Least:
     if it asks for the largest piece and names no isovalue.
     """
     given = settings.source.document
-    if given.get("pieces") != LARGEST:
+    if given.get("pieces") != LARGEST_PIECE:
         return settings.count("pieces", MOST_PIECE) or 0
     settings.text("pieces", "")
     isovalue: Any = given.get("isovalue")
