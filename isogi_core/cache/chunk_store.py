@@ -318,7 +318,9 @@ class ChunkStore:
     def _decoded(
         self, layer: LayerStore, index: Index, stored: bytes | None
     ) -> tuple[np.ndarray, Part]:
-        """Decode the object of a layer; return no texels if it is absent or damaged."""
+        """Return the offsets and the light of the texels in an object of a layer, as it is
+        ``stored``; no texels if it is absent (None) or damaged, so that they are baked again.
+        """
         try:
             if stored is not None:
                 return layer.decode(index, stored)

@@ -119,9 +119,7 @@ class FreshLight:
             return [each for each in self._chunks.values() if any(each.changed)]
 
     def written(self, fresh: Fresh) -> None:
-        """Mark the light of ``fresh`` as written,
-        unless newer light of its chunk came meanwhile.
-        """
+        """Mark the light of ``fresh`` as written, unless newer light of the chunk has come."""
         index = fresh.chunk.index
         with self._lock:
             # If newer light came during the write, the entry is another one, and stays unwritten.
@@ -135,9 +133,10 @@ class FreshLight:
             self._chunks.pop(index, None)
 
     def sweep(self, busy: Callable[[Index], bool]) -> None:
-        """Forget written chunks whose last light came KEPT_SECONDS ago, unless they are ``busy``.
+        """Forget chunks whose light is written and whose last light came KEPT_SECONDS ago, unless
+        a task of theirs is in flight, which makes them ``busy``.
 
-        The tasks of a busy chunk bring light of some texels only, and need the others here.
+        Such a task brings light of some texels only, which ``put`` adds to the others here.
         """
         now = self._clock()
         with self._lock:

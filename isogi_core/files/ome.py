@@ -198,15 +198,19 @@ def array_axes(resolution: Resolution) -> tuple[Axis, ...]:
 
 
 def placed_in_space(resolution: Resolution) -> tuple[np.ndarray, str, str]:
-    """From indices along x, y, z to the world's x, y, z in the unit of x, (3, 4), the sign of that
-    unit, and the letters of a patient's world, where all axes say how they lie in one. Units that
-    cannot be compared are taken as one: see ``odd_units``.
+    """Return the affine matrix from indices along x, y, z to the world's x, y, z, (3, 4), the sign
+    of its unit, which is that of the x axis, and the letters of the patient's axes.
+
+    The world is the patient's if all axes say in which anatomical direction they go; else the
+    letters are empty, and the world is the image's. If the units of axes cannot be compared, they
+    are taken as one: see ``odd_units``.
     """
     matrix, unit = _in_one_unit(resolution)
     towards = [axis.towards for name in SPACE_AXES for axis in resolution.axes if axis.name == name]
     places = [AXIS_ORIENTATIONS.get(word, (-1, 0.0)) for word in towards]
     if sorted(place for place, _ in places) != [0, 1, 2]:
         return matrix, unit, ""
+    # Move each row of the matrix to the patient's axis along which it goes, with its direction.
     patient = np.empty_like(matrix)
     for row, (place, sign) in zip(matrix, places, strict=True):
         patient[place] = sign * row

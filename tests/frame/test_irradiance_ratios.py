@@ -14,7 +14,7 @@ import pytest
 from isogi_core.bake.bake_spec import spec_for
 from isogi_core.frame import texel_normals, texel_shading
 from isogi_core.frame.lighting import RotatedLight
-from isogi_core.frame.texel_normals import OwnNormals, find_texel_normals
+from isogi_core.frame.texel_normals import LatticeNormals, find_texel_normals
 from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import carries_irradiance_ratios
 from isogi_core.kernels.shading.irradiance_ratio import MIN_UNSHADOWED
@@ -150,7 +150,7 @@ def test_normals_of_projected_texels_are_found_once(
     asked = []
     gbuffer = orbital.renderer.gbuffer(view)
     texels = orbital.renderer.texels(view, gbuffer)
-    found = find_texel_normals(texels, OwnNormals(1 << 20), orbital.prepared, Tiles(2))
+    found = find_texel_normals(texels, LatticeNormals(1 << 20), orbital.prepared, Tiles(2))
     monkeypatch.setattr(
         texel_normals,
         "fill_texel_normals",

@@ -34,7 +34,8 @@ from isogi_core.files.packed_files import read_end
 def open_numpy(source: Source) -> Grid:
     """Open an array (z, y, x) as a grid: only its header is read now. Raises VolumeError.
 
-    Of four or five dimensions, the first choose; a last one of three or four bytes is a colour.
+    If it has four or five dimensions, ``pick_axes`` chooses an index along each of the first ones.
+    A last dimension of three or four bytes holds colours.
     """
     with _array(source) as file:
         shape, _, dtype = _array_header(file)
@@ -51,7 +52,7 @@ def open_numpy(source: Source) -> Grid:
     source.check(field[-3:])
     slabs = partial(_array_slabs, source, picked, coloured)
     notes = (LUMINANCE_NOTE,) if coloured else ()
-    known = read_as("NumPy", dtype)
+    # The luminance of colours is a real number.
     if coloured:
         values = np.dtype(np.float32)
     else:
@@ -64,7 +65,7 @@ def open_numpy(source: Source) -> Grid:
         source.stamp,
         notes=notes,
         moment=moment,
-        read_as=known,
+        read_as=read_as("NumPy", dtype),
     )
 
 

@@ -368,8 +368,10 @@ def added_kinds() -> tuple[Kind, ...]:
 
 
 def added_reader_of(head: Head) -> Kind | None:
-    """Find the kind of a plug-in that tells a file by its content, if isogi tells it by none; a
-    test that fails tells nothing.
+    """Return the kind of a plug-in that recognises a file by its content; None if no plug-in does,
+    or if isogi recognises the file itself.
+
+    A plug-in whose test raises an error counts as one that does not recognise the file.
     """
     if any(kind.is_of(head.content, head.suffix) for kind in READ_KINDS):
         return None
@@ -381,7 +383,9 @@ def added_reader_of(head: Head) -> Kind | None:
 
 
 def plugin_faults(head: Head) -> list[str]:
-    """Say which plug-ins cannot be loaded, and which fail to tell what a file is."""
+    """Return a sentence for each plug-in that cannot be loaded, and for each whose test of a file
+    fails.
+    """
     faults = list(reader_plugins().faults)
     for kind in added_kinds():
         try:

@@ -167,8 +167,9 @@ class Source:
 
 
 def library(name: str, kind: str, install: str = "'isogi[formats]'") -> Any:
-    """The library that reads files of a ``kind``. VolumeError, with the line that installs it,
-    where it is missing.
+    """Import and return the library ``name``, which reads files of a ``kind``.
+
+    Raises VolumeError, with the command that installs it, if it is missing.
     """
     try:
         return import_module(name)

@@ -168,7 +168,9 @@ GDAL's GeoTIFF driver.
 
 
 def _packing(page: Any, stored: np.dtype[Any], coloured: bool) -> Packing:
-    """What stored pixels mean, of which one value may say that there is no data."""
+    """Return how the numbers of a ``page`` stand for values: as they are ``stored``, but one number
+    may mean that a pixel has no data. Colours become their luminance.
+    """
     if coloured:
         return Packing(np.dtype(np.float32))
     tag = page.tags.get(NO_DATA)
@@ -176,6 +178,7 @@ def _packing(page: Any, stored: np.dtype[Any], coloured: bool) -> Packing:
         text = ""
     else:
         text = str(tag.value).strip("\0 ")
+    # A tag that holds no number is left out.
     try:
         return holed(stored, [float(text)] if text else [], "no data")
     except ValueError:

@@ -224,8 +224,9 @@ class WallView:
 
     @classmethod
     def of_sides(cls, gbuffer: GBuffer, light: RotatedLight, sides: np.ndarray) -> list["WallView"]:
-        """Return the walls that a G-buffer shows, whose points are seen from ``sides`` (m,):
-        fronts and backs apart.
+        """Return the walls that a G-buffer shows, fronts and backs apart: rays that were mirrored
+        or refracted may meet both. ``sides`` (m,) has the side at which each point was met, 1 or
+        -1.
         """
         count = len(light.spec.prepared.scene.lighting.room.walls)
         walls = gbuffer.walls

@@ -57,7 +57,10 @@ class Text:
         return bool(block)
 
     def line(self) -> str:
-        """The next line, without what ends it."""
+        """Return the next line without blanks at its ends. Raises VolumeError if there is none, or
+        if it has more than MAX_LINE bytes.
+        """
+        # Read blocks until one holds the end of the line, or the line is too long.
         while b"\n" not in self._rest[:MAX_LINE] and not self._ended and len(self._rest) < MAX_LINE:
             self._more()
         end = self._rest.find(b"\n", 0, MAX_LINE)
@@ -67,6 +70,7 @@ class Text:
             )
         if end < 0 and not self._rest:
             raise VolumeError(f"'{self.name}' ends within its header: copy it again.")
+        # The last line of a file may have no end.
         found = self._rest[:end] if end >= 0 else self._rest
         self._rest = self._rest[end + 1 :] if end >= 0 else b""
         return found.decode("latin-1").strip()
