@@ -200,9 +200,8 @@ class ChunkStore:
         self.use = UseStamps(self.store, [layer.digest for layer in self.layers])
 
     def open(self) -> None:
-        """Open or create the layers' arrays and find the smaller layers.
-
-        Otherwise both happen with the first chunk.
+        """Open or create the layers' arrays, and find the fallback layers. Without this call, both
+        happen when the first chunk is read or written.
         """
         for layer in self.layers:
             layer.open()

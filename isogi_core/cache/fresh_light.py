@@ -96,12 +96,12 @@ class FreshLight:
             since = known.since if any(known.changed) else now
             self._chunks[chunk.index] = Fresh(whole, unwritten, since, now)
 
-    def due(self, open_now: Callable[[Index], bool]) -> list[Fresh]:
+    def due(self, is_wanted: Callable[[Index], bool]) -> list[Fresh]:
         """Return the chunks to write now: those whose light rests, and those that have waited for
         WRITE_SECONDS.
 
-        Light rests if none came for REST_SECONDS and ``open_now`` says that no more is asked for
-        its chunk.
+        The light of a chunk rests if none came for REST_SECONDS and no more is requested of it, so
+        that ``is_wanted`` is false.
         """
         now = self._clock()
         with self._lock:
@@ -110,7 +110,7 @@ class FreshLight:
             each
             for each in unwritten
             if now - each.since >= WRITE_SECONDS
-            or (now - each.last >= REST_SECONDS and not open_now(each.chunk.index))
+            or (now - each.last >= REST_SECONDS and not is_wanted(each.chunk.index))
         ]
 
     def unwritten(self) -> list[Fresh]:

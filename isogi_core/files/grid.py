@@ -183,7 +183,9 @@ class Grid:
 
 
 def gathered(shape: Shape, dtype: Any, slabs: Iterable[np.ndarray]) -> np.ndarray:
-    """The array of a ``shape`` and a type that ``slabs`` make up, one after the other."""
+    """Return the array of a ``shape`` and a type that ``slabs`` of layers, one after the other,
+    make up.
+    """
     array = np.empty(shape, dtype)
     z = 0
     for slab in slabs:
@@ -342,14 +344,17 @@ def decompose(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _resampled(grid: Grid, rotation: np.ndarray, skewed: np.ndarray) -> Grid:
-    """A skewed grid on right angles: rows and layers are moved in their own planes, and between
-    voxels is linear.
+    """Return a ``skewed`` grid, resampled linearly so that its axes are at right angles.
 
-    Voxels of the new grid that the old one does not reach are holes.
+    The grid's matrix is the ``rotation`` times the upper triangle ``skewed``, see ``decompose``:
+    rows move along x, and layers along x and y, but no layer is tilted. Voxels of the new grid that
+    the old one does not reach are holes. Raises VolumeError if layers would grow more than
+    MAX_GROWTH times.
     """
     assert grid.affine is not None, "on_right_angles has asked"
     nz, ny, nx = grid.shape
     steps = np.diag(skewed)
+    # Find by how many rows the last layer is moved, and by how many columns the corners are.
     rows = skewed[1, 2] / steps[1] * np.array([0.0, nz - 1.0])
     columns = (
         np.add.outer(
@@ -357,11 +362,13 @@ def _resampled(grid: Grid, rotation: np.ndarray, skewed: np.ndarray) -> Grid:
         )
         / steps[0]
     )
+    # Enclose all of them in a box, whose first voxel lies at ``first`` of the old grid.
     first = np.floor([columns.min(), rows.min()])
     width = int(math.ceil(nx - 1 + columns.max()) - first[0]) + 1
     height = int(math.ceil(ny - 1 + rows.max()) - first[1]) + 1
     if width * height > MAX_GROWTH * nx * ny:
         raise VolumeError(f"The volume's axes are too skewed: resample it first, or {OR_RAW}.")
+    # Means of numbers of up to 16 bits fit float32.
     wide = grid.dtype.itemsize > 2 and grid.dtype != np.float32
     dtype: np.dtype[Any] = np.dtype(np.float64 if wide else np.float32)
     origin = grid.affine.array[:, 3] + rotation[:, :2] @ (first * steps[:2])

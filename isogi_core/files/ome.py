@@ -160,7 +160,11 @@ def _sequence(steps: Any, n: int) -> np.ndarray:
 
 
 def _matrix(step: Mapping[str, Any], n: int) -> np.ndarray:
-    """The matrix, (n + 1, n + 1), of a transformation."""
+    """Return the homogeneous matrix, (n + 1, n + 1), of one transformation of n axes.
+
+    Raises VolumeError if it is of a kind that is not read here. Damaged metadata raise errors of
+    several kinds, which the callers turn into VolumeError.
+    """
     kind = step["type"]
     matrix = np.eye(n + 1)
     if kind == "sequence":
@@ -177,6 +181,8 @@ def _matrix(step: Mapping[str, Any], n: int) -> np.ndarray:
             f"The image is placed by a transformation '{kind}' that is not in its metadata: "
             f"{AFFINE_HINT}."
         )
+    # An axis map lists the input axis of each output axis; scales are on the diagonal, translations
+    # in the last column; rotations and affine matrices are given row by row.
     if kind == "mapAxis":
         matrix[:n] = matrix[np.array(step[kind], int)]
     elif kind in ("scale", "translation"):

@@ -22,19 +22,19 @@ _UNITS = np.concatenate([[0.0], np.ldexp(1.0, np.arange(1, 256) - 136)]).astype(
 
 
 def read_hdr(path: Path) -> np.ndarray:
-    """Read linear RGB radiance (h, w, 3) float32, row 0 at the top, EXPOSURE and COLORCORR divided
-    out.
+    """Read a probe as linear RGB radiance (h, w, 3) float32, row 0 at the top. The header's
+    EXPOSURE and COLORCORR are divided out.
 
-    Pixels may be flat, or in old or new run-length coding. Raises LightError where the file is
+    Pixels may be flat, or in old or new run-length coding. Raises LightError if the file is
     missing, not RGBE, not stored from the top left (``-Y h +X w``), or damaged.
     """
     try:
         with open_regular(Path(path)) as file:
             data = file.read(_HEADER_BYTES)
+            # Read the rest only if the file begins as one of RGBE; if not, its beginning is enough
+            # to say so.
             if data.startswith(b"#?"):
                 data += file.read()
-            else:
-                data += b""
     except OSError as error:
         raise LightError(
             f"The light '{path}' cannot be read ({reason_of(error)}): check its path."

@@ -350,8 +350,10 @@ MOST_BITS = 1024
 
 
 def check_values(value: Any, key: str = "The document") -> None:
-    """Raise SceneError, which names the ``key``, for a text, a number or a list in a scene that
-    nothing can be.
+    """Raise SceneError, which names the ``key``, if a text, a number or a list in a scene is longer
+    than any setting can be, or if a text has a null character.
+
+    It looks into tables and lists. Whatever is read later may rely on these limits.
     """
     if isinstance(value, str) and (len(value) > MOST_TEXT or "\0" in value):
         raise SceneError(

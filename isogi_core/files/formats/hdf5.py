@@ -257,21 +257,28 @@ def layered(film: bool) -> tuple[str, ...]:
 
 @contextmanager
 def _dataset(source: Source) -> Iterator[Any]:
-    """Open the dataset that is chosen; by default the one that the file's dialect means, else the
-    only one of three dimensions or more, or in space.
+    """Yield the open dataset that is chosen by its path or the end of its path.
+
+    By default it is the one that the file's dialect names, else the only one of three dimensions or
+    more, else the only one with axes in space. Raises VolumeError, which lists all, if none is
+    meant.
     """
     h5py = library("h5py", "HDF5")
     with source.open() as file, h5py.File(source.path or file, "r", locking=False) as whole:
         part = source.chosen.get("part")
+        # A part that is a whole path is taken as it is.
         found = whole.get(part) if part else None
         if isinstance(found, h5py.Dataset) and found.ndim >= 3:
             yield found
             return
+        # List all datasets that may be volumes.
         fields: list[Any] = []
         whole.visititems(
             lambda _, each: fields.append(each) if isinstance(each, h5py.Dataset) else None
         )
         fields = [each for each in fields if each.ndim >= 3]
+        # Without a part, take the dataset that a dialect names, or the only one; with one, the only
+        # dataset whose path ends with it.
         if part is None:
             found = next((data for each in CHOICES if (data := each(source, whole))), None)
             fields_in_space = [each for each in fields if _is_in_space(each)]
@@ -284,6 +291,7 @@ def _dataset(source: Source) -> Iterator[Any]:
             meant = ending[0] if len(ending) == 1 else None
         if meant is None:
             raise unchosen(source, [each.name.strip("/") for each in fields])
+        # Files of dialects without levels of resolution have no other choices.
         if not any(each in LEVELLED and each(source, whole) for each in CHOICES):
             source.refuse_others("part", "time", "channel")
         yield meant

@@ -182,16 +182,18 @@ def open_vtr(source: Source) -> Grid:
     image = ImageFile(source, "vtkXMLRectilinearGridReader")
     grid = _grid_of(image, source, "VTR")
     axes = image.coordinates()
+    # If the coordinates are those of corners, the values belong to cells: take their middles.
     if grid.shape != tuple(len(each) for each in axes[::-1]):
-        axes = [(each[1:] + each[:-1]) / 2.0 for each in axes]  # values of cells, in their middles
+        axes = [(each[1:] + each[:-1]) / 2.0 for each in axes]
     place = place_by([Along(each) for each in axes])
-    known = "its coordinates" if place.said and not place.notes else ""
+    # Uneven coordinates, of which there is a note, do not place the voxels.
+    placed = "its coordinates" if place.said and not place.notes else ""
     return replace(
         grid,
         spacing=place.spacing,
         affine=place.affine,
         notes=(*grid.notes, *place.notes),
-        read_as=read_as("VTR", grid.dtype, known),
+        read_as=read_as("VTR", grid.dtype, placed),
     )
 
 

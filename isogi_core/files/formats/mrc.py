@@ -127,11 +127,11 @@ def _volumes(header: Any, sections: int) -> int:
 
 
 def _affine(header: Any, first: int) -> Affine:
-    """Columns, rows and sections to Ångström: the header's axes, cell and origin; a voxel is 1 Å
-    where it has no cell.
+    """Return the affine map from columns, rows and sections to the world in Ångström, by the
+    header's axes, cell and origin. ``first`` is the number of the first section that is read.
 
-    The origin is the header's own (MRC2014), else where the map starts in its cell. Source: the
-    CCP4 map format.
+    The origin is the header's (MRC2014), or else the place in the cell at which the map starts.
+    Source: the CCP4 map format.
     """
     axes = [int(header[name]) - 1 for name in ("mapc", "mapr", "maps")]
     if sorted(axes) != [0, 1, 2]:
@@ -141,16 +141,19 @@ def _affine(header: Any, first: int) -> Affine:
                 "again."
             )
         axes = [0, 1, 2]
+    # The cell's edges are divided into intervals, whose lengths are the distances of voxels. If the
+    # header has no intervals, or no cell, the map fills the cell, and voxels are 1 Å apart.
     size = np.array([int(header[name]) for name in ("nx", "ny", "nz")])
     intervals = np.array([float(header[name]) for name in ("mx", "my", "mz")])
     lengths = np.array([float(header["cella"][name]) for name in "xyz"])
     along = np.empty(3)
-    along[axes] = size  # voxels along the cell's own axes
+    along[axes] = size  # voxels along the axes of the cell
     intervals = np.where(intervals > 0, intervals, along)
     steps = np.where(lengths > 0.0, lengths, intervals) / intervals
     cell = _cell([float(header["cellb"][name]) for name in ("alpha", "beta", "gamma")]) * steps
     starts = np.array([int(header[name]) for name in ("nxstart", "nystart", "nzstart")], float)
     starts[2] += first
+    # The origin is the header's, else the place of the first voxel in the cell.
     matrix = cell[:, axes]
     origin = np.array([float(header["origin"][name]) for name in "xyz"])
     if not origin.any():

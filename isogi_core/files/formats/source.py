@@ -303,8 +303,10 @@ def luminance_of_colours(colours: np.ndarray) -> np.ndarray:
 
 
 def pick(source: Source, key: str, length: int, steps: str) -> int:
-    """Which of ``length`` elements is chosen by ``key``, the only one by default. Raises
-    VolumeError.
+    """Return the number of the element that is chosen by ``key`` of ``length`` elements, 0 if there
+    is only one. ``steps`` names the elements in messages.
+
+    Raises VolumeError if none of several is chosen, or one that does not exist.
     """
     chosen = source.count(key)
     if chosen is None and length > 1:

@@ -196,7 +196,7 @@ class RoomLight:
         share = (self.state.isovalue - around[0].isovalue) / (
             around[1].isovalue - around[0].isovalue
         )
-        # A side must be known at both isovalues.
+        # A side must be known at both isovalues. The numbers of paths at both name its light.
         return {
             side: low[side].mixed(high[side], share, f"-{low[side].count:x}~{high[side].count:x}")
             for side in low.keys() & high.keys()

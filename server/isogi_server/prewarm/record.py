@@ -252,15 +252,15 @@ class Record:
         return self._documents.path_of(self.document.id)
 
     def follow(self, context: PrewarmContext) -> None:
-        """Continue at the number of samples that an earlier prewarm of this order had reached, so
-        that it need not be found out once more; record each higher number that pictures ask for.
-        Raises StoreError.
+        """Start the prewarm of a ``context`` with as many samples as pictures of an earlier prewarm
+        of this order had needed, so that they need not be measured again; from then on, record each
+        higher number that pictures ask for. Raises StoreError.
         """
         former = [
             each.rung for each in recorded_prewarms(self._store) if each.id == self.document.id
         ]
         context.rung = max(context.rung, *former, FIRST_LEVEL)
-        context.climbed = lambda rung: self.keep(rung=rung)
+        context.rung_rose = lambda rung: self.keep(rung=rung)
         self.document = self.document.model_copy(update={"rung": context.rung})
 
     @contextmanager

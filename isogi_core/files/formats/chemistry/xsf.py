@@ -204,7 +204,9 @@ def _of_bands(names: tuple[str, ...], crossing: list[int], first: int) -> tuple[
 
 
 def read_fermi(text: Text) -> float | None:
-    """The Fermi energy, None if the file names none before its bands."""
+    """Return the Fermi energy in the unit of the bands; None if the file names none before its
+    bands, or no finite number.
+    """
     found = text.find(_FERMI)
     if found is None:
         return None
