@@ -20,7 +20,7 @@ from isogi_core.files.formats.chemistry.vasp import is_vasp
 from isogi_core.files.formats.chemistry.xsf import is_xsf
 from isogi_core.files.formats.source import Reader
 from isogi_core.files.packed_files import BZIP2_MAGIC, GZIP_MAGIC, line_of
-from isogi_core.files.plugins import READER_GROUP, Plugins, fault_of, named, plugins
+from isogi_core.files.plugins import READER_GROUP, Plugins, fault_of, load_object, plugins
 
 FOLDER = "isogi_core.files.formats"
 """The package of isogi's readers."""
@@ -95,7 +95,7 @@ class Kind:
 
     def open(self) -> Reader:
         """Load the reader."""
-        found: Reader = named(self.reader, FOLDER)
+        found: Reader = load_object(self.reader, FOLDER)
         return found
 
     @property

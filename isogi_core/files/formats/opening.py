@@ -42,7 +42,7 @@ from isogi_core.files.formats.other_kinds import (
 )
 from isogi_core.files.formats.source import FILE_CHOICES, Source
 from isogi_core.files.grid import Grid, read_as
-from isogi_core.files.plugins import blamed, failure_of
+from isogi_core.files.plugins import blame_plugin, failure_of
 
 __all__ = ["HEAD_BYTES", "libraries_for", "open_file", "open_upload", "split_part"]
 
@@ -147,7 +147,7 @@ def read_by_plugin(kind: Kind, source: Source) -> Grid:
     """Open a file by a plug-in's reader. Raises VolumeError, which names the package for whatever
     goes wrong in it.
     """
-    with blamed(kind.package, _unread(kind, source.name), VolumeError):
+    with blame_plugin(kind.package, _unread(kind, source.name), VolumeError):
         grid = kind.open()(source)
     if not isinstance(grid, Grid):
         wrong = f"it gives {type(grid).__name__}"
@@ -167,7 +167,7 @@ def _checked_slabs(kind: Kind, name: str, grid: Grid) -> Iterator[np.ndarray]:
     shape.
     """
     layers = 0
-    with blamed(kind.package, _unread(kind, name), VolumeError):
+    with blame_plugin(kind.package, _unread(kind, name), VolumeError):
         for slab in grid.slabs():
             layers += len(slab)
             if slab.shape[1:] != grid.shape[1:] or layers > len(grid):
