@@ -114,8 +114,8 @@ def blame_plugin(package: str, failed: str, kind: type[IsogiError]) -> Iterator[
 
 
 def failure_of(package: str, failed: str, wrong: str) -> str:
-    """Return the message that something has ``failed`` in a plug-in, with what went ``wrong``, and
-    advice.
+    """Return the message that something has ``failed`` in a plug-in, with the reason, ``wrong``,
+    and advice.
     """
     return f"{failed} by the plug-in {package} ({wrong}): update that package, or tell its authors."
 

@@ -119,8 +119,8 @@ class Source:
             yield content_of(file)
 
     def cut_notes(self, size: int) -> tuple[str, ...]:
-        """Return notes on bytes that follow a content of ``size`` bytes, or on a packed file that
-        is cut off.
+        """Return a note if the file is cut off, though its content of ``size`` bytes is whole; see
+        ``packed_files.cut_notes``.
         """
         with self.open() as file:
             return cut_notes(file, size)
