@@ -60,9 +60,8 @@ def colours(size: int, paths: int, only: tuple[str, ...]) -> Measurement:
             if not wanted(name, only):
                 continue
             scene = coloured(subject, table)
-            found.append(
-                measure(name, bench_of(scene, size, Path(folder) / str(len(found))), None, paths)
-            )
+            bench = bench_of(scene, size, Path(folder) / str(len(found)))
+            found += measure([name], bench, None, paths)
             rows.append((*found[-1].row, f"{scene.plan.bounces}"))
             click.echo(" | ".join(rows[-1]), err=True)
     return measurement_of(f"Colours by data, {size} × {size}", found, HEAD, rows)

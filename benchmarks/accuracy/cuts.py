@@ -58,7 +58,7 @@ def cuts(size: int, paths: int, only: tuple[str, ...]) -> Measurement:
                 if wanted(name, only):
                     opened = cut_open(scene, cut, f"{scene.id}-{number}")
                     bench = bench_of(opened, size, Path(folder) / subject.folder / str(number))
-                    found.append(measure(name, bench, None, paths))
+                    found += measure([name], bench, None, paths)
                     rows.append((*found[-1].row, f"{whole.planned.seconds:.1f}"))
                     click.echo(" | ".join(rows[-1]), err=True)
     return measurement_of(f"Volumes cut open, {size} × {size}", found, HEAD, rows)

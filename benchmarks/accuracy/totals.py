@@ -1,14 +1,14 @@
 """What pictures tell of their total error beside the truth, and what it takes to bring it to the
 target.
 
-    python -m benchmarks.accuracy totals [--size 96] [--paths 1024] [--seed 1 …] [--only TEXT …]
-    [--part 1/4]
-        [--kept FILE]
+    python -m benchmarks.accuracy totals [--size 96] [--paths 1024] [--views 1] [--seed 1 …]
+    [--only TEXT …] [--part 1/4] [--kept FILE]
 
 Views of all real volumes, and of volumes by formula (see ``formulas``), are baked by their scenes'
 plans to 2 %, in lights of all kinds, as they stand and turned; their pictures are then checked as
-the server checks pictures at rest. References are path-traced from each pixel, with as many bounces
-as may matter, until their noise is within NOISE.
+the server checks pictures at rest. Later views of a row are seen STEP degrees further around the
+volume, by the same renderer: they take over light of the views before. References are path-traced
+from each pixel, with as many bounces as may matter, until their noise is within NOISE.
 """
 
 import tempfile
@@ -40,6 +40,7 @@ from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.reference import Reference
 from isogi_report.bench import Bench, ViewBake, dark
+from isogi_report.command import DEFAULT_VIEWPOINT
 from isogi_report.metrics import score
 
 PLACES = (
@@ -73,6 +74,9 @@ TURNS = {"": None, " turned": (110.0, 25.0, 0.0)}
 """Angles (z, y, x), in degrees, that lights are turned by; those that stand as their files have
 them, and others.
 """
+
+STEP = 10.0
+"""Degrees of azimuth between a view and the next."""
 
 NOISE = 0.005
 MOST = 64
@@ -172,6 +176,13 @@ def measurement_of(
     help="Paths a pixel of references.",
 )
 @click.option(
+    "--views",
+    type=click.IntRange(1, 36),
+    default=1,
+    show_default=True,
+    help="Cameras of a row, each drawn after the others.",
+)
+@click.option(
     "--seed",
     multiple=True,
     type=int,
@@ -193,6 +204,7 @@ def measurement_of(
 def totals(
     size: int,
     paths: int,
+    views: int,
     seed: tuple[int, ...],
     only: tuple[str, ...],
     share: str,
@@ -208,11 +220,14 @@ def totals(
         for name, scene in islice(scenes(Path(folder), seed, only), first - 1, None, step):
             bench = cache(partial(made_bench, scene, size, Path(folder) / name.replace(" ", "-")))
             for turn, angles in TURNS.items():
-                found.append(
-                    known.get(name + turn)
-                    or known.put(measure(name + turn, bench(), angles, paths))
-                )
-                click.echo(" | ".join(row_of(found[-1])), err=True)
+                names = [name + turn + later(number) for number in range(views)]
+                # A row is measured as a whole, as each of its views depends on those before.
+                row = [view for each in names if (view := known.get(each)) is not None]
+                if len(row) < views:
+                    row = [known.put(each) for each in measure(names, bench(), angles, paths)]
+                found += row
+                for each in row:
+                    click.echo(" | ".join(row_of(each)), err=True)
     if not found:
         raise click.UsageError("No view has that in its name.")
     return Measurement(
@@ -282,23 +297,43 @@ def street() -> np.ndarray:
     return image
 
 
+def later(number: int) -> str:
+    """What is added to a scene's name for the view of this ``number`` in a row, from 0 on."""
+    if number:
+        return f", view {number + 1}"
+    return ""
+
+
 def measure(
-    name: str, bench: Bench, angles: tuple[float, float, float] | None, paths: int
-) -> Found:
-    """Bring a view's picture, with the light turned by ``angles``, to its target, and hold it
-    against the truth.
+    names: Sequence[str], bench: Bench, angles: tuple[float, float, float] | None, paths: int
+) -> Iterator[Found]:
+    """Bring the pictures of a row of views, with the light turned by ``angles``, to their target,
+    one after the other by the same renderer, and hold each against the truth.
     """
-    if angles:
-        turned = replace(bench.view, light=quaternion_from_angles(*angles))
-    else:
-        turned = bench.view
-    folder = bench.folder / (name.rsplit(maxsplit=1)[-1] if angles else "still")
-    best = quiet_reference(replace(bench, view=turned, folder=folder, _made={}), paths)
-    bake = ViewBake(bench.renderer(bench.scene), bench.view)
-    target = bench.scene.target_error
+    kept = bench.renderer(bench.scene)
+    renderer = Renderer(kept.caches, bench.tiles)
+    for number, name in enumerate(names):
+        azimuth = DEFAULT_VIEWPOINT["azimuth"] + STEP * number
+        camera = bench.scene.camera(**{**DEFAULT_VIEWPOINT, "azimuth": azimuth}, fov=30.0)
+        baked = replace(bench.view, camera=camera)
+        if angles:
+            turned = replace(baked, light=quaternion_from_angles(*angles))
+        else:
+            turned = baked
+        folder = bench.folder / f"{'turned' if angles else 'still'}-{number}"
+        best = quiet_reference(replace(bench, view=turned, folder=folder, _made={}), paths)
+        yield measure_view(name, ViewBake(kept, baked), renderer, turned, best)
+
+
+def measure_view(
+    name: str, bake: ViewBake, renderer: Renderer, turned: View, best: Reference
+) -> Found:
+    """Bring the picture of a ``turned`` view, whose texels a ``bake`` lights, to its target, and
+    hold it against the ``best`` known.
+    """
+    target = renderer.prepared.scene.target_error
     spent = [0.0]
     bake.show(dark(bake.layers, len(bake.texels)), np.arange(len(bake.shown.places)))
-    renderer = Renderer(bake.renderer.caches, bench.tiles)
     frames = [lit := lit_frame(bake, renderer, turned, target)]
     while refined(renderer, turned, target, spent):
         frames.append(lit_frame(bake, renderer, turned, target))
@@ -404,6 +439,18 @@ def figures_of_tails(found: Sequence[Found]) -> dict[str, float]:
     }
 
 
+def figures_of_later_views(found: Sequence[Found]) -> dict[str, float]:
+    """How well errors of the later views of rows are told; nothing if there is none."""
+    ends = [each.last.likely / max(each.true, 1e-6) for each in found if ", view " in each.name]
+    if not ends:
+        return {}
+    return {
+        "later views: told / true at the end, median": median(ends),
+        "later views: told / true at the end, least": min(ends),
+        "later views: told / true at the end, most": max(ends),
+    }
+
+
 def figures(found: Sequence[Found]) -> dict[str, float]:
     """How well errors are told, and how far pictures are from the truth at the end."""
     ratios = sorted(each.first.likely / max(each.lit, 1e-6) for each in found)
@@ -425,5 +472,6 @@ def figures(found: Sequence[Found]) -> dict[str, float]:
         "told / true at the end, least": ends[0],
         "told / true at the end, most": ends[-1],
         "samples of texels, median": median(each.samples for each in found),
+        **figures_of_later_views(found),
         **figures_of_tails(found),
     }

@@ -102,6 +102,17 @@ def write_vti(path: Path, array: np.ndarray) -> None:
     writer.Write()
 
 
+def write_cube(path: Path, array: np.ndarray) -> None:
+    """Gaussian cube, its values as text; x is the slowest of its axes."""
+    axes = "".join(
+        f"{n} {' '.join('1.0' if axis == step else '0.0' for axis in range(3))}\n"
+        for step, n in enumerate(array.shape[::-1])
+    )
+    with path.open("w", encoding="ascii") as file:
+        file.write(f"A gyroid in a ball\nby rows along z\n1 0.0 0.0 0.0\n{axes}1 1.0 0.0 0.0 0.0\n")
+        np.savetxt(file, array.T.reshape(-1, array.shape[0]), fmt="%13.5E")
+
+
 def write_zarr(path: Path, array: np.ndarray) -> None:
     """A Zarr array, v3."""
     zarr.create_array(path, shape=array.shape, chunks=(32,) * 3, dtype=array.dtype)[:] = array
@@ -122,6 +133,7 @@ WRITERS: dict[str, Writer] = {
     "f.h5": write_hdf5,
     "f.mha": write_itk,
     "f.vti": write_vti,
+    "f.cube": write_cube,
     "f.zarr": write_zarr,
     "dicom": write_dicom,
 }

@@ -270,6 +270,8 @@ def test_a_picture_is_as_wrong_as_it_says_and_reaches_its_target(tmp_path: Path)
         "24",
         "--paths",
         "256",
+        "--views",
+        "2",
         "--only",
         "nested shells 1 under constant light",
         "--kept",
@@ -280,11 +282,12 @@ def test_a_picture_is_as_wrong_as_it_says_and_reaches_its_target(tmp_path: Path)
     assert (
         figures(totals, *asked) == found
         and kept.read_text() == lines
-        and len(lines.splitlines()) == 2
+        and len(lines.splitlines()) == 4
     )
-    assert (found["views"], found["final"]) == (2, 1.0)
+    assert (found["views"], found["final"]) == (4, 1.0)
     assert 0.5 < found["told / true, median"] < 2.0
     assert 0.0 < found["worst true error told as final"] <= 0.025
+    assert 0.5 < found["later views: told / true at the end, median"] < 2.0
 
 
 def test_filtered_light_is_nearer_to_the_truth() -> None:
