@@ -110,7 +110,7 @@ class TexelNormals:
 
     at_positions: np.ndarray
     _on_surface: np.ndarray = field(repr=False)
-    _knat_positions: np.ndarray = field(repr=False)
+    _known: np.ndarray = field(repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
     @property
