@@ -190,7 +190,7 @@ class Renderer(SurfaceRenderer):
         return self._kept.get((GBuffer, surface_key(view)), make)
 
     @property
-    def knnormals_at_positions(self) -> LatticeNormals:
+    def known_normals(self) -> LatticeNormals:
         """The normals of texels at their own positions, as far as views or chunks have asked
         for them.
         """

@@ -88,7 +88,7 @@ class TracedPoints:
         arrays = (self.rows, self.points, self.normals, self.expected, self.shares, self.changes)
         return self.estimate.nbytes + sum(each.nbytes for each in arrays)
 
-    def matches(
+    def pairs(
         self, shot: Shot, points: np.ndarray, pixel_sides: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Match points of another ``shot`` with the points of this view that are nearest. Return
@@ -155,7 +155,7 @@ class TracedLight:
         shares = np.ones(m)
         # Go through the views, and take for each point the paths of the nearest point.
         for each in self.views:
-            places, numbers, away = each.matches(shot, points, pixel_sides)
+            places, numbers, away = each.pairs(shot, points, pixel_sides)
             nearer = away < nearest[places]
             places = places[nearer]
             numbers = numbers[nearer]
