@@ -140,6 +140,13 @@ class PagePool:
         """Bytes of memory that were ever filled."""
         return self._free_pages.taken * page_bytes(self.spec)
 
+    @property
+    def age(self) -> int:
+        """The number of insertions so far. As long as it stays the same, so does all light of
+        chunks that stay in the pool.
+        """
+        return self._age
+
     def missing(self, indices: Sequence[Index]) -> list[Index]:
         """Return the chunks of ``indices`` that are not in the pool, or stale there."""
         with self._lock:

@@ -2,7 +2,8 @@
 refine them.
 """
 
-from dataclasses import replace
+from collections.abc import Hashable
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -16,6 +17,7 @@ from isogi_core.frame.gbuffer import GBuffer, surface_key
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.lobe_light import LobeLight, ShadowStarts, find_lobes, find_starts
 from isogi_core.frame.rays.picture_plan import Prices
+from isogi_core.frame.rays.picture_state import PictureState
 from isogi_core.frame.rays.shine_light import ShineLight, ViewShine
 from isogi_core.frame.rays.through_matter import ViewThrough
 from isogi_core.frame.rays.wall_light import ViewWalls
@@ -44,8 +46,23 @@ COMMON = 1 / 3
 stays, and for the normals of texels, which all views have in common.
 """
 
+PIXEL_BYTES = 3 * 4 + 1 + 4
+"""Bytes of a pixel of a picture: radiance, state and error."""
+
 BLOCKS_SHARE = 1 / 8
 """Share of these bytes for blocks of chunks, which all cards that draw the scene have in common."""
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnPicture:
+    """A ``frame`` as it was drawn, for those who ask for it again before its light changes."""
+
+    frame: Frame
+
+    @property
+    def nbytes(self) -> int:
+        """The size of its pictures in bytes."""
+        return sum(part.nbytes for part in self.frame.framebuffer)
 
 
 class SurfaceRenderer:
@@ -73,8 +90,9 @@ class SurfaceRenderer:
         self.tiles = tiles
         # Results that a turning light or a growing bake replaces have a limit of their own: they
         # must not drive out surfaces.
+        self._most_of_kind = int(KIND_SHARE * most)
         changing = dict.fromkeys(
-            (Reading, FilteredLight, LobeLight, ShineLight), int(KIND_SHARE * most)
+            (Reading, FilteredLight, LobeLight, ShineLight, DrawnPicture), self._most_of_kind
         )
         self._kept: LruCache[Any] = LruCache(most - int((COMMON + BLOCKS_SHARE) * most), changing)
         shown = levels or (Level(caches),)
@@ -152,19 +170,50 @@ class SurfaceRenderer:
 
     def _draw_texels(self, shot: Shot) -> Frame:
         """Draw a ``shot`` from the illumination cache: global illumination, or vicinity shading
-        (S1, section 4.2).
+        (S1, section 4.2). A picture whose light has not changed since it was drawn is kept.
         """
-        gbuffer = shot.gbuffer
-        light = shot.light
-        tiles = shot.tiles
         # The check of this picture knows how many samples its texels need. A caller that asks for
         # all samples there can be wants no check.
         known = None
         if is_checked(shot.view) and shot.goal.samples < MAX_SAMPLES:
             known = self.checks.of(shot).known
-        # Find the texels around the surface points, read their light, and carry it to the pixels.
+        # Find the texels around the surface points.
         with shot.watch.stage("texels"):
-            texels = self.texels(shot.view, gbuffer, tiles)
+            texels = self.texels(shot.view, shot.gbuffer, shot.tiles)
+        light = self._light_key(texels, shot)
+        if light is None:
+            return self._carry_texels(texels, known, shot)
+        # Requests that wait for light, and the check, ask for the same picture again and again.
+        key = (DrawnPicture, shot.view, shot.goal, known, light)
+        make = partial(self._carry_texels, texels, known, shot)
+        return self._kept.get(key, lambda: DrawnPicture(make())).frame
+
+    def _light_key(self, texels: ViewTexels, shot: Shot) -> Hashable | None:
+        """Return a key that stays the same as long as all light in the picture of a ``shot`` does,
+        if nothing but texels, lobes and paths of pixels lights it. None if its light may change
+        otherwise, if the view moves, or if pictures of this size are not kept.
+        """
+        view = shot.view
+        scene = shot.scene
+        changing = (
+            shot.light.shine is not None
+            or len(shot.gbuffer.walls.pixels)
+            or scene.surfaces.several
+            or scene.lighting.glowing.any
+        )
+        pixels = view.width * view.height
+        if changing or view.moving or PIXEL_BYTES * pixels > self._most_of_kind:
+            return None
+        return self._texels.ages(texels, shot)
+
+    def _carry_texels(self, texels: ViewTexels, known: PictureState | None, shot: Shot) -> Frame:
+        """Draw a ``shot`` by the light of its ``texels``, with the light of pixels that its check
+        has ``known``.
+        """
+        gbuffer = shot.gbuffer
+        light = shot.light
+        tiles = shot.tiles
+        # Read the light of the texels, and carry it to the pixels.
         shine = b""
         goal = goal_of_texels(shot.goal, shot.view, known)
         reading, framebuffer = self._texels.picture(texels, replace(shot, goal=goal))

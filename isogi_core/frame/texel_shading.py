@@ -158,6 +158,27 @@ class TexelShading:
         make = partial(find_texels, gbuffer, self.prepared, tiles, coarse)
         return self._kept.get((ViewTexels, surface_key(view), coarse), make)
 
+    def ages(self, texels: ViewTexels, shot: Shot) -> tuple[int | None, ...] | None:
+        """Load the light of the ``texels`` of a ``shot``, and return numbers that change when it
+        does; None if other light may stand in for it.
+
+        Raises the errors of ``Loader.ensure``.
+        """
+        if self._stand_in is not None:
+            return None
+        ages = list[int | None]()
+        for level in self._levels:
+            loader = level.caches.of(shot.view.shading)
+            with shot.watch.stage("load"):
+                loader.ensure(texels.chunks, shot.tiles.check)
+            ages.append(loader.pool.age)
+            # Projected texels have a pool of their own.
+            if self._projects(texels, shot.view):
+                projected = level.caches.projected(texels.gbuffer.isovalue)
+                with held_chunks(projected, texels.chunks) as held:
+                    ages.append(None if held is None else held.age)
+        return tuple(ages)
+
     def picture(self, texels: ViewTexels, shot: Shot) -> tuple[Reading, Framebuffer]:
         """Return the reading of the texels of a ``shot``, and the picture of their light."""
         reading, lit = self.lit(texels, shot)

@@ -13,7 +13,7 @@ from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import surface_key
 from isogi_core.frame.rays.carried_light import MOST_CHANGE, TracedLight, TracedPoints, carried_key
-from isogi_core.frame.rays.control_pixels import CONTROLS_IF_MISSED, paths_for
+from isogi_core.frame.rays.control_pixels import CONTROLS_IF_MISSED, FIRST_CONTROLS, paths_for
 from isogi_core.frame.rays.own_light import PixelLight, foreseen_paths
 from isogi_core.frame.rays.picture_check import PictureCheck
 from isogi_core.frame.rays.picture_plan import AWAITED, SHARED_PRICES, Prices, rungs_above
@@ -36,6 +36,12 @@ must hold for all rotations of its light.
 FILTERED_NOISE_RATIO = 4.0
 """Noise of a texel over the noise of pixels that interpolate it and its neighbours, filtered: 3
 to 5 after 16 samples.
+"""
+
+
+WORTH_CARRYING = 4
+"""Number of first measurements of a picture whose paths light of other views must spare, to be
+carried over.
 """
 
 
@@ -97,7 +103,10 @@ class ViewChecks(Refinement[PictureCheck]):
         if key is None or (traced := self._kept.held(key)) is None:
             return None
         own = traced.carried_to(shot, uncertainty)
-        if not len(own.places):
+        # The picture is measured with that light, and perhaps once more without it. If it spares
+        # few paths, it costs more than it brings.
+        measurement = 2 * FIRST_CONTROLS * paths_for(shot.goal.error)
+        if own.paths < WORTH_CARRYING * measurement:
             return None
         return own
 

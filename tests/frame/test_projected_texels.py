@@ -103,6 +103,7 @@ def test_vicinity_shading_and_local_models_have_none(bench: Workbench) -> None:
 
 
 def test_a_view_demands_them_where_texels_are_far(bench: Workbench) -> None:
+    bench.renderer.forget_views()  # drawn before STEEPNESS was patched
     lit = bench.renderer.render(view_of(bench))
     assert lit.demands == () and lit.quality.projection
     assert lit.coverage["converging"] > 0.5 and lit.coverage["provisional"] == 0.0

@@ -463,3 +463,34 @@ def test_the_first_picture_is_the_same_about_any_normals(
     own = bench.again().renderer.render(view)
     np.testing.assert_allclose(near.radiance, own.radiance, rtol=1e-5, atol=1e-7)
     assert near.version == own.version and (near.radiance[near.state > 0] > 0.0).all()
+
+
+def test_a_picture_is_drawn_again_only_after_its_light_has_changed(workbench: Make) -> None:
+    """Clients that wait for light ask for the same picture many times a second."""
+    bench = workbench(load_scene("demo:casting", lights=[SKY], target_error=LOOSE))
+    view = bench.view(size=32)
+    dark = bench.renderer.render(view)
+    assert bench.renderer.render(view) is dark
+    lit = bench.bake(view)
+    assert lit is not dark and bench.renderer.render(view) is lit
+    # A step of the check may change the picture, or what is known of its error.
+    assert bench.renderer.refine(view)
+    checked = bench.renderer.render(view)
+    assert checked is not lit and checked.measured is not None
+    # Other views, and other goals, have pictures of their own.
+    assert bench.renderer.render(replace(view, width=33)) is not checked
+    assert bench.renderer.render(view, LOOSE / 2.0) is not checked
+    assert bench.renderer.render(view) is checked
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [{"room": "cornell"}, {"shine": {"kind": "plastic"}, "lights": [SKY]}],
+)
+def test_a_picture_with_other_light_than_texels_is_drawn_each_time(
+    settings: dict[str, Any], workbench: Make
+) -> None:
+    """Walls and shine get light of their own, which no page pool counts."""
+    bench = workbench(load_scene("demo:casting", target_error=LOOSE, **settings))
+    view = bench.view(size=32)
+    assert bench.renderer.render(view) is not bench.renderer.render(view)

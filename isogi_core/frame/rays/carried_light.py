@@ -113,8 +113,10 @@ class TracedPoints:
         normals = shot.gbuffer.normals(shot.tiles)
         cosines = (normals[places] * self.normals[numbers]).sum(axis=1)
         near = (away <= FARTHEST) & (cosines >= LEAST_COSINE)
-        # Leave out points at edges of shadows, where light changes within a part of a pixel.
-        near &= self.changes[numbers] * away <= MOST_CHANGE * shot.goal.error
+        # Leave out points at edges of shadows, where light changes within a part of a pixel, and
+        # those at outlines, whose changes are infinite, at any distance.
+        least = np.finfo(np.float64).tiny
+        near &= self.changes[numbers] * np.maximum(away, least) <= MOST_CHANGE * shot.goal.error
         return places[near], numbers[near], away[near]
 
 

@@ -133,6 +133,11 @@ class PixelLight:
         return self.estimate.most
 
     @property
+    def paths(self) -> int:
+        """The number of paths of all points together."""
+        return REPLICAS * int(self.estimate.counts.sum())
+
+    @property
     def nbytes(self) -> int:
         """The size of its arrays in bytes."""
         arrays = (self.places, self.light, self.variance, self.probes, self.expected)
@@ -170,6 +175,21 @@ class PixelLight:
             estimate.sums[rows] = some
             estimate.counts[rows] = count
         return replace(PixelLight.of(places, estimate, paths, expected), shares=choice.shares)
+
+    def without(
+        self, rows: np.ndarray, light: RotatedLight, gbuffer: GBuffer, tiles: Tiles
+    ) -> "PixelLight":
+        """Return the light of all points but those in some ``rows`` (k,) of a G-buffer, filtered
+        anew. Raises Cancelled.
+        """
+        kept = ~np.isin(self.places, rows, assume_unique=True)
+        if not kept.any():
+            return PixelLight.none()
+        places = self.places[kept]
+        estimate = Estimate(self.estimate.sums[kept], self.estimate.counts[kept])
+        paths = Paths(light, gbuffer.part(places, tiles), tiles, bounces_of_truth(light))
+        shares = np.broadcast_to(self.shares, self.places.shape)[kept]
+        return replace(PixelLight.of(places, estimate, paths, self.expected), shares=shares)
 
     def put(
         self, framebuffer: Framebuffer, gbuffer: GBuffer, light: RotatedLight, tiles: Tiles

@@ -62,7 +62,7 @@ the controls are in doubt, not the light.
 """
 
 
-CARRIED_ATTEMPTS = 2
+CARRIED_ATTEMPTS = 1
 """Attempts with light that was carried over from other views, before it is dropped."""
 
 EARLY_PATHS = 64
@@ -155,9 +155,9 @@ class PictureCheck:
         if self._blurred(frame, frame.measured):
             return self._deepen(frame.gbuffer, tiles)
         # Light that was carried over from other views is a fraction of a pixel aside. If it keeps
-        # the picture from its target, all light is traced anew.
+        # the picture from its target, the light of these pixels is traced anew.
         if len(self.known.carried) and self.known.attempt >= CARRIED_ATTEMPTS:
-            self._drop_carried()
+            self._drop_carried(frame.gbuffer, tiles)
             return True
         # The picture misses its target. Take the first step of the cheapest plan: rungs, or light
         # of pixels. If finer texels are cheaper, the check ends with ``coarse`` set, and the caller
@@ -440,9 +440,10 @@ class PictureCheck:
         none = ControlPixels.none()
         self.known = replace(self.known, own=own, carried=own.places, controls=none)
 
-    def _drop_carried(self) -> None:
-        """Forget all light of pixels, as some was carried over and kept the picture from its
-        target.
+    def _drop_carried(self, gbuffer: GBuffer, tiles: Tiles) -> None:
+        """Forget the light that was carried over. Pixels whose light was traced for themselves
+        keep it. Raises Cancelled.
         """
         known = self.known
-        self.known = PictureState(known.target, attempt=known.attempt, enough=known.enough)
+        own = known.own.without(known.carried, self.light, gbuffer, tiles)
+        self.known = PictureState(known.target, own=own, attempt=known.attempt, enough=known.enough)

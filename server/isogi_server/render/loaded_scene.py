@@ -134,6 +134,8 @@ class LoadedScene:
         if coming is not None and (coming.measured is not None or not coming.provisional):
             return coming
         frame = self.renderer.render(view, target, cancelled, watch, enough)
+        if coming is None and frame.quality.fineness == self.fineness:
+            return frame
         if coming is None:
             return replace(frame, quality=replace(frame.quality, fineness=self.fineness))
         last = coming.quality.finer or coming

@@ -6,9 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from isogi_core.bake.noise import Goal
+from isogi_core.frame import view_checks
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.lighting import RotatedLight
-from isogi_core.frame.rays.carried_light import carried_key, changes_by_pixel, project
+from isogi_core.frame.rays.carried_light import (
+    TracedPoints,
+    carried_key,
+    changes_by_pixel,
+    project,
+)
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import View, quaternion_from_angles
 from isogi_core.reference import trace_reference
@@ -24,6 +31,12 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Workbench:
     """A surface whose texels are too far apart for the target, so that pixels need light."""
     scene = load_scene("demo:orbital", lights=[SKY], bounces=2, lattice=0.25, target_error=TARGET)
     return Workbench(scene, tmp_path_factory.mktemp("carried"))
+
+
+@pytest.fixture
+def always(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Light is carried to pictures that are too small for it to be worth it."""
+    monkeypatch.setattr(view_checks, "WORTH_CARRYING", 0)
 
 
 def apart(bench: Workbench) -> Workbench:
@@ -64,6 +77,7 @@ def true_error(bench: Workbench, frame: Frame) -> float:
     return math.sqrt(max(wrong**2 - reference.noise**2, 0.0))
 
 
+@pytest.mark.usefixtures("always")
 def test_a_view_beside_another_takes_its_light(bench: Workbench) -> None:
     """It reaches the target with fewer paths than alone, and its error is as told."""
     first = finished(bench, bench.view(azimuth=30.0, size=SIZE))
@@ -78,6 +92,36 @@ def test_a_view_beside_another_takes_its_light(bench: Workbench) -> None:
     assert after.version != alone.version
 
 
+def test_a_small_picture_takes_none(bench: Workbench) -> None:
+    """Measuring it with that light takes more paths than the light spares."""
+    first = finished(bench, bench.view(azimuth=50.0, size=SIZE))
+    assert traced(first)
+    view = bench.view(azimuth=50.01, size=SIZE)
+    after = finished(bench, view)
+    assert not carried(after)
+    assert after.version == finished(apart(bench), view).version
+
+
+@pytest.mark.usefixtures("always")
+def test_light_that_is_dropped_leaves_the_rest(bench: Workbench) -> None:
+    """Pixels keep the light that was traced for themselves, as if no other had been there."""
+    finished(bench, bench.view(azimuth=30.0, size=SIZE))
+    frame = finished(bench, bench.view(azimuth=33.0, size=SIZE))
+    known = frame.quality.known
+    assert known is not None and len(known.carried)
+    spec = bench.caches.spec("gi")
+    light = RotatedLight(spec, frame.view)
+    left = known.own.without(known.carried, light, frame.gbuffer, bench.renderer.tiles)
+    assert set(left.places.tolist()) == traced(frame)
+    assert 0 < left.paths < known.own.paths
+    rows = np.searchsorted(known.own.places, left.places)
+    assert np.array_equal(left.estimate.sums, known.own.estimate.sums[rows])
+    assert np.isfinite(left.light).all() and len(left.light) == len(left.places)
+    none = known.own.without(known.own.places, light, frame.gbuffer, bench.renderer.tiles)
+    assert not len(none.places)
+
+
+@pytest.mark.usefixtures("always")
 def test_nearly_the_same_camera_shows_the_same_light(bench: Workbench) -> None:
     view = bench.view(azimuth=30.0, size=SIZE)
     first = finished(bench, view)
@@ -87,6 +131,7 @@ def test_nearly_the_same_camera_shows_the_same_light(bench: Workbench) -> None:
     assert math.sqrt((difference**2).mean()) < TARGET * luminance(first).mean()
 
 
+@pytest.mark.usefixtures("always")
 def test_other_light_is_not_taken(bench: Workbench) -> None:
     finished(bench, bench.view(azimuth=30.0, size=SIZE))
     turned = replace(
@@ -122,3 +167,20 @@ def test_changes_are_those_to_the_eight_neighbours() -> None:
     assert changes_by_pixel(rows, values)[4] == 3.5
     rows[0, :] = -1
     assert np.isinf(changes_by_pixel(rows, values)[4])
+
+
+@pytest.mark.usefixtures("always")
+def test_points_at_rims_are_not_taken_even_at_no_distance(bench: Workbench) -> None:
+    """Light at a rim may change by any amount, and the same view again shows the same points."""
+    view = bench.view(azimuth=70.0, size=SIZE)
+    first = finished(bench, view)
+    assert first.quality.known is not None
+    shot = bench.renderer.shot(view, first.gbuffer, Goal(TARGET), bench.renderer.tiles)
+    known = first.quality.known
+    points = TracedPoints.of(shot, known.own, known.carried)
+    assert np.isinf(points.changes).any() and np.isfinite(points.changes).any()
+    box = first.gbuffer.points * np.array(first.gbuffer.spacing)
+    sides = project(view, box)[2] * view.camera.pixel_size(view.height)
+    _, numbers, away = points.pairs(shot, box, sides)
+    assert len(numbers) and not away.any()
+    assert np.isfinite(points.changes[numbers]).all()
