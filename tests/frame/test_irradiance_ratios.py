@@ -158,11 +158,13 @@ def test_normals_of_projected_texels_are_found_once(
         lambda *each: (asked.append(len(each[4])), fill_texel_normals(*each)),
     )
     assert (
-        found.where(np.zeros(len(found.own), np.bool_), texels, orbital.prepared, Tiles(1))
-        is found.own
+        found.select(
+            np.zeros(len(found.at_positions), np.bool_), texels, orbital.prepared, Tiles(1)
+        )
+        is found.at_positions
     )
     places = texels.positions
-    count = len(found.own)
+    count = len(found.at_positions)
     there = np.empty((3, count))
     normals = np.empty((3, count))
     verdicts = np.empty(count, np.uint8)
@@ -178,9 +180,9 @@ def test_normals_of_projected_texels_are_found_once(
     projected = verdicts == TEXEL_PROJECTED
     projected[::3] = False
     for mask in (projected & (np.arange(count) % 2 == 0), projected, projected):
-        facing = found.where(mask, texels, orbital.prepared, Tiles(1))
+        facing = found.select(mask, texels, orbital.prepared, Tiles(1))
         np.testing.assert_allclose(facing[mask], normals.T[mask], atol=2e-3)
-        assert np.array_equal(facing[~mask], found.own[~mask])
+        assert np.array_equal(facing[~mask], found.at_positions[~mask])
     assert sum(asked) == projected.sum() > 100, "each is found once"
     assert found.nbytes == 25 * count
 

@@ -51,7 +51,7 @@ def test_normals_of_other_views_are_not_found_again(
     texels = orbital.renderer.texels(view, orbital.renderer.gbuffer(view))
     known = LatticeNormals(1 << 20)
     first, again = (
-        find_texel_normals(texels, known, orbital.prepared, tiles).own for _ in range(2)
+        find_texel_normals(texels, known, orbital.prepared, tiles).at_positions for _ in range(2)
     )
     assert sum(asked) == len(first) > 100
     assert first.tobytes() == again.tobytes()
