@@ -1,6 +1,7 @@
-"""What plug-ins are made of: readers and writers of other packages; see docs/plugins.md.
+"""The names that plug-ins use: readers and writers of files in other packages. See docs/plugins.md.
 
-Names that are listed here keep their meaning. Importing this module loads NumPy, and no renderer.
+All names in ``__all__`` keep their meaning from version to version. Importing this module loads
+NumPy, but no kernels and no renderer.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -32,7 +33,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Load the classes of light when they are asked for: they bring Zarr with them."""
+    """Load the classes of light when they are first used, as they import Zarr."""
     if name in ("LitMesh", "LitVolume"):
         from isogi_core.files import light_files  # noqa: PLC0415 (see above)
 

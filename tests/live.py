@@ -49,7 +49,7 @@ def serving(scene: Path, store: Path, **settings: Any) -> Iterator[str]:
 
     baker = Baker()
     pool = InlinePool()
-    baker.employ(cast("WorkerPool", pool))
+    baker.use_pool(cast("WorkerPool", pool))
     try:
         engine = EngineWithoutWorkers([load_scene(scene)], str(store), baker=baker)
         with live(create_app(engine, Settings(**settings))) as url:

@@ -86,7 +86,7 @@ def time_left(target: str | None, size: int, views: int, error: float, every: fl
         closing(RenderEngine([scene], folder, baker=baker)) as engine,
     ):
         engine.start(with_workers=False)
-        baker.employ(pool)  # type: ignore[arg-type]
+        baker.use_pool(pool)  # type: ignore[arg-type]
         for number in range(views):
             camera = scene.camera(40.0 + TURN * number, 30.0, 3.0, 30.0)
             told = watch(engine, pool, replace(view_of(scene, size), camera=camera), error, every)

@@ -108,8 +108,10 @@ def unpack(
 def belongs(
     records: np.ndarray, layer: Layer, texels: int, bake: str, indices: Sequence[Index]
 ) -> np.ndarray:
-    """Return, for each of the ``records`` (k, bytes) uint8,
-    True if it is of this ``bake`` and of its chunk of ``indices``; (k,) bool.
+    """Return True for each of the ``records`` (k, bytes) uint8 that names this ``bake`` and its
+    chunk, the one at the same place in ``indices``; (k,) bool.
+
+    The others were copied to a wrong key of the store, and hold the light of other texels.
     """
     found = record_fields(records, layer, texels)
     here = (found["index"] == np.array(indices).reshape(-1, 3)).all(axis=1)
@@ -159,14 +161,15 @@ def planes_of(found: np.ndarray, layer: Layer) -> tuple[np.ndarray, np.ndarray, 
 
 
 def find_anomaly(data: np.ndarray, layer: Layer, texels: int) -> str:
-    """Find the first fault in a record, (bytes,) uint8, that ``pack`` never writes,
-    and return its description; empty if there is none.
+    """Look for faults in a record, (bytes,) uint8, that ``pack`` never writes. Return a description
+    of the first one, empty if there is none.
     """
     record = data.view(record_type(layer, texels))[0]
     level = record["rung"]
     light = record["light"]
     dark = level == 0
-    # The checksum was right, so a fault here is one of the program that wrote the record.
+    # The record's checksum has been verified, so no fault here is damage of the store: the program
+    # that wrote the record was wrong.
     faults = {
         "it was packed to another scale": record["scale"] != np.float32(layer.scale),
         "a texel took a number of samples that none takes": (

@@ -200,9 +200,8 @@ class ChunkStore:
         self.use = UseStamps(self.store, [layer.digest for layer in self.layers])
 
     def open(self) -> None:
-        """Open or create the layers' arrays and find the smaller layers.
-
-        Otherwise both happen with the first chunk.
+        """Open or create the layers' arrays, and find the fallback layers. Without this call, both
+        happen when the first chunk is read or written.
         """
         for layer in self.layers:
             layer.open()
@@ -318,7 +317,9 @@ class ChunkStore:
     def _decoded(
         self, layer: LayerStore, index: Index, stored: bytes | None
     ) -> tuple[np.ndarray, Part]:
-        """Decode the object of a layer; return no texels if it is absent or damaged."""
+        """Return the offsets and the light of the texels in an object of a layer, as it is
+        ``stored``; no texels if it is absent (None) or damaged, so that they are baked again.
+        """
         try:
             if stored is not None:
                 return layer.decode(index, stored)

@@ -96,12 +96,12 @@ class FreshLight:
             since = known.since if any(known.changed) else now
             self._chunks[chunk.index] = Fresh(whole, unwritten, since, now)
 
-    def due(self, open_now: Callable[[Index], bool]) -> list[Fresh]:
+    def due(self, is_wanted: Callable[[Index], bool]) -> list[Fresh]:
         """Return the chunks to write now: those whose light rests, and those that have waited for
         WRITE_SECONDS.
 
-        Light rests if none came for REST_SECONDS and ``open_now`` says that no more is asked for
-        its chunk.
+        The light of a chunk rests if none came for REST_SECONDS and no more is requested of it, so
+        that ``is_wanted`` is false.
         """
         now = self._clock()
         with self._lock:
@@ -110,7 +110,7 @@ class FreshLight:
             each
             for each in unwritten
             if now - each.since >= WRITE_SECONDS
-            or (now - each.last >= REST_SECONDS and not open_now(each.chunk.index))
+            or (now - each.last >= REST_SECONDS and not is_wanted(each.chunk.index))
         ]
 
     def unwritten(self) -> list[Fresh]:
@@ -119,9 +119,7 @@ class FreshLight:
             return [each for each in self._chunks.values() if any(each.changed)]
 
     def written(self, fresh: Fresh) -> None:
-        """Mark the light of ``fresh`` as written,
-        unless newer light of its chunk came meanwhile.
-        """
+        """Mark the light of ``fresh`` as written, unless newer light of the chunk has come."""
         index = fresh.chunk.index
         with self._lock:
             # If newer light came during the write, the entry is another one, and stays unwritten.
@@ -135,9 +133,10 @@ class FreshLight:
             self._chunks.pop(index, None)
 
     def sweep(self, busy: Callable[[Index], bool]) -> None:
-        """Forget written chunks whose last light came KEPT_SECONDS ago, unless they are ``busy``.
+        """Forget chunks whose light is written and whose last light came KEPT_SECONDS ago, unless
+        a task of theirs is in flight, which makes them ``busy``.
 
-        The tasks of a busy chunk bring light of some texels only, and need the others here.
+        Such a task brings light of some texels only, which ``put`` adds to the others here.
         """
         now = self._clock()
         with self._lock:

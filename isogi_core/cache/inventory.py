@@ -116,8 +116,12 @@ class Inventory:
 
 
 def inventory_of(listed: Iterable[Entry]) -> Inventory:
-    """Return the inventory of the objects in a listing of a store."""
+    """Return the inventory of the objects in a listing of a store, each layer with the stamp of its
+    last use.
+    """
     inventory = Inventory()
+    # Stamps are kept apart until the listing has ended, as one alone does not make a layer: its
+    # layer may have been deleted.
     stamps = {}
     for found in listed:
         inventory.add(found)

@@ -214,14 +214,15 @@ class Repair:
 
 
 def repair_store(store: Store, delete: bool = False, progress: Progress = no_progress) -> Repair:
-    """Audit a ``store``, move damaged objects to quarantine, and delete leftovers. Raises
-    StoreError.
+    """Audit a ``store``, move damaged objects to its quarantine folder, and delete leftovers:
+    half-written objects of processes that are gone. Raises StoreError.
 
-    With ``delete``, damaged objects are deleted instead.
+    If ``delete`` is set, damaged objects are deleted, too.
     """
     moved: dict[str, str | None] = {}
 
-    # Damaged objects are put away during the audit, so that servers bake them again soon.
+    # The audit calls this as soon as it finds a damaged chunk: servers then bake the chunk again,
+    # and need not wait for the end of the audit.
     def put_away(damage: Damage) -> None:
         """Move or delete a damaged object, once."""
         if damage.key in moved:
@@ -239,10 +240,10 @@ def repair_store(store: Store, delete: bool = False, progress: Progress = no_pro
         store.move(damage.key, to)
 
     found = audit_store(store, put_away, progress)
-    # The audit has called it for chunks alone: now put damaged metadata away.
+    # The audit does so for chunks alone: put damaged metadata away now.
     for damage in found.damages:
         put_away(damage)
-    # Half-written objects whose writers are gone serve nobody.
+    # Delete half-written objects that are so old that their writers must be gone.
     old = list(leftovers(found.inventory, store.now()))
     for each in old:
         store.delete(each.key)
@@ -372,8 +373,8 @@ def costs_of(
 
 
 def possible_bakes(counts: dict[str, Count]) -> Iterator[tuple[str, ...]]:
-    """Yield the layers of the same lattice,
-    up to MOST_LAYERS in any order, as they may form a bake.
+    """Yield the digests of all layers that may form a bake together: up to MOST_LAYERS of the same
+    lattice, in every order, as the order is not known.
     """
     by_lattice = defaultdict(list)
     for digest, count in counts.items():

@@ -2,8 +2,8 @@
 their faces, on right angles.
 
 Any box whose edges are the diagonal of the lattice's triangle (QR) holds one period, whatever the
-lattice's angles: rows and layers are moved as a skewed grid is set upright, and what leaves on one
-side comes in on the other. So a cell that is oblique becomes a box of the same volume, without
+lattice's angles: rows and layers are moved as a skewed grid is set upright, and parts that leave on
+one side come in on the other. So a cell that is oblique becomes a box of the same volume, without
 holes, and nothing in it is counted twice.
 """
 
@@ -118,7 +118,7 @@ def set_side_by_side(
 
 
 def axes_of(periodic: Periodic) -> str:
-    """The axes along which a field repeats, as words."""
+    """Name the axes along which a field repeats, in words."""
     named = [axis for axis, repeats in zip("xyz", periodic, strict=True) if repeats]
     return " and ".join(filter(None, [", ".join(named[:-1]), named[-1]]))
 
@@ -129,7 +129,7 @@ def _notes(cells: Cells, oblique: bool) -> tuple[str, ...]:
 
 
 def _placed(grid: Grid, spacing: tuple[float, ...] | None) -> tuple[np.ndarray, np.ndarray]:
-    """The matrix of a ``grid`` with its spacing, and its origin. Raises VolumeError."""
+    """Return the matrix of a ``grid`` with its spacing, and its origin. Raises VolumeError."""
     if grid.affine is None:
         return np.diag(np.array(spacing or grid.spacing, np.float64)), np.zeros(3)
     matrix = np.array(grid.affine.matrix)
@@ -141,8 +141,8 @@ def _placed(grid: Grid, spacing: tuple[float, ...] | None) -> tuple[np.ndarray, 
 
 
 def _moves(skewed: np.ndarray, shape: tuple[int, ...]) -> Vector:
-    """By how many voxels each row moves along x, and each layer along x and along y; 0 if that is
-    next to nothing over the whole ``shape``.
+    """Return the numbers of voxels by which each row moves along x, and each layer along x and
+    along y; 0 if that is next to nothing over the whole ``shape``.
     """
     rows = skewed[0, 1] / skewed[0, 0]
     columns = skewed[0, 2] / skewed[0, 0]
@@ -155,7 +155,7 @@ def _moves(skewed: np.ndarray, shape: tuple[int, ...]) -> Vector:
 def _layers(
     grid: Grid, cells: Cells, shape: tuple[int, ...], moves: Vector, flipped: bool
 ) -> Iterator[np.ndarray]:
-    """The layers of the cells, (1, ny, nx) each."""
+    """Yield the layers of the cells, (1, ny, nx) each."""
     whole = grid.whole()
     if flipped:
         # of a field that repeats, voxel 0 is the one before which x ends
@@ -176,7 +176,9 @@ def _layers(
 
 
 def _between(layer: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Linear values of a ``layer`` that repeats, at real ``rows`` (h,) and ``columns`` (h, w)."""
+    """Interpolate a ``layer`` that repeats linearly, at real ``rows`` (h,) and
+    ``columns`` (h, w).
+    """
     above = np.floor(rows)
     left = np.floor(columns)
     down = (rows - above)[:, None]

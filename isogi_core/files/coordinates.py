@@ -1,5 +1,5 @@
-"""Named axes and their coordinates, as NetCDF, HDF5 and Zarr have them: which axis is x, y, z, time
-or channel, and where voxels lie.
+"""Named axes and their coordinates, as NetCDF, HDF5 and Zarr have them: the roles of axes (x, y, z,
+time, channel), and the place of voxels.
 
 Names and directions are those of NetCDF's conventions for climate and forecast data (CF 1.11,
 chapters 4 and 5).
@@ -42,7 +42,7 @@ PRESSURES = ("pa", "hpa", "kpa", "mbar", "millibar", "millibars", "bar", "dbar",
 
 @dataclass(frozen=True, eq=False)
 class Along:
-    """Coordinates along an axis, (n,), their unit, and whether they grow downwards."""
+    """Coordinates along an axis, (n,), their unit, and ``down``, True if they grow downwards."""
 
     values: np.ndarray
     unit: str = ""
@@ -51,8 +51,8 @@ class Along:
 
 @dataclass(frozen=True)
 class Place:
-    """Where voxels lie: spacing, affine (None if the file says no more than that), unit of lengths,
-    and notes. ``said`` tells whether the file says it.
+    """The place of voxels: spacing, affine map (None if the file gives the spacing alone), unit of
+    lengths, and notes. ``said`` is True if the file gives it.
     """
 
     spacing: Vector = (1.0, 1.0, 1.0)
@@ -118,9 +118,11 @@ def role_of(name: str, attributes: Mapping[str, Any]) -> str:
 
 
 def roles_of(found: Sequence[str]) -> tuple[str, ...]:
-    """Settle the roles of an array's axes: what is ``found`` by names if three axes are x, y and z,
-    else the last three axes that are no time and no channel are z, y and x. An axis beyond these
-    has no role; fewer than three axes in space leave time as the depth of planes.
+    """Settle the roles of an array's axes: those that were ``found`` by names if three axes are x,
+    y and z; else the last three axes that are neither time nor channel are z, y and x.
+
+    An axis beyond these has no role. If there are fewer than three axes in space, time stays as the
+    depth of planes.
     """
     named = sorted(role for role in found if role in "xyz" and role)
     if named == ["x", "y", "z"] and len(set(filter(None, found))) == len([*filter(None, found)]):
@@ -136,7 +138,7 @@ def roles_of(found: Sequence[str]) -> tuple[str, ...]:
 
 
 def along(values: Any, attributes: Mapping[str, Any]) -> Along:
-    """Make the coordinates of an axis, with what CF says of their direction: heights are up unless
+    """Return the coordinates of an axis with their direction by CF's rules: heights are up unless
     the file says down; pressures grow downwards.
     """
     unit = text_of(attributes.get("units", ""))
@@ -184,7 +186,7 @@ def direction_of(axis: Along | None) -> float:
 
 
 def is_even(values: np.ndarray) -> bool:
-    """Tell whether steps are alike and not zero."""
+    """Return True if steps are alike and not zero."""
     steps = np.diff(values)
     mean = float(steps.mean())
     return mean != 0.0 and bool(np.abs(steps - mean).max() <= EVEN_STEP_SHARE * abs(mean))

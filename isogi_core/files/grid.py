@@ -20,7 +20,7 @@ MAX_VOXELS = 2**33
 """Most voxels: more mean a damaged header (32 GiB as float32)."""
 
 SLAB_BYTES = 1 << 25
-"""Approximate bytes of a slab, where the source leaves the choice."""
+"""Approximate bytes of a slab, if the source leaves the choice."""
 
 
 PATIENT_AXES = "RAS"
@@ -29,10 +29,11 @@ PATIENT_AXES = "RAS"
 
 @dataclass(frozen=True)
 class Affine:
-    """Where voxels lie in the world: ``world = matrix · (x, y, z) + origin`` of a voxel's indices.
+    """The map from voxels to the world: ``world = matrix · (x, y, z) + origin`` of a voxel's
+    indices.
 
-    ``matrix`` is three rows. ``letters`` say where the world's axes point, PATIENT_AXES in a
-    patient, else empty.
+    ``matrix`` is three rows. ``letters`` name the directions of the world's axes: PATIENT_AXES if
+    it is a patient's, else empty.
     """
 
     matrix: tuple[Vector, Vector, Vector]
@@ -41,7 +42,7 @@ class Affine:
 
     @classmethod
     def of(cls, matrix: Any, letters: str = "") -> "Affine":
-        """From an array (3, 4) or (4, 4): the matrix, and the origin as its last column."""
+        """Return the affine map of an array (3, 4) or (4, 4), whose last column is the origin."""
         rows = np.asarray(matrix, np.float64)[:3]
         x, y, z = (triple(row) for row in rows[:, :3])
         return cls((x, y, z), triple(rows[:, 3]), letters)
@@ -54,10 +55,8 @@ class Affine:
 
 @dataclass(frozen=True)
 class LabelName:
-    """What a segmentation's file says of a label: its ``value``, ``name`` and ``colour``, sRGB
-    ``#rrggbb``.
-
-    Name and colour are empty where it says none.
+    """The entry of a label in a segmentation's file: its ``value``, ``name`` and ``colour``, sRGB
+    ``#rrggbb``. Name and colour are empty if the file has none.
     """
 
     value: int
@@ -66,38 +65,41 @@ class LabelName:
 
 
 def srgb_bytes(linear: np.ndarray) -> np.ndarray:
-    """Linear RGB as sRGB bytes (IEC 61966-2-1)."""
+    """Return linear RGB as sRGB bytes (IEC 61966-2-1)."""
     share = np.clip(linear, 0.0, 1.0)
     curve = np.where(share <= 0.0031308, 12.92 * share, 1.055 * share ** (1.0 / 2.4) - 0.055)
     return np.asarray(curve * 255.0 + 0.5, np.uint8)
 
 
 Periodic = tuple[bool, bool, bool]
-"""Whether a grid is one period of a field that repeats along x, y, z."""
+"""For each of x, y, z, True if the grid is one period of a field that repeats along that axis."""
 
 APERIODIC: Periodic = (False, False, False)
 
 SINGLE_MOMENT = (0, 1)
-"""The moment of what is no series in time."""
+"""The moment of a field that is no series in time."""
 
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """One value per voxel, at any source.
+    """A value for each voxel, from any source.
 
-    ``shape`` is voxels along z, y, x, ``dtype`` the source's type and ``spacing`` (x, y, z) as the
-    source gives it. ``slabs`` iterates anew on each call: arrays (layers, ny, nx) that make up the
-    whole from z = 0 on. It raises VolumeError where the source is damaged. ``stamp`` names the
-    source's state, as far as sizes and times of files show it. ``affine`` says where voxels lie in
-    the world, None where the source says spacing alone; ``unit`` is that of lengths, empty where
-    unknown. ``notes`` are sentences on what was done to make this field of the source. It is the
-    ``moment`` of a series in time: which step it is, and of how many; ``unchosen`` where it is the
-    first because nobody chose one. ``labels`` are named ones of a segmentation, None where the file
-    does not say that it is one. ``read_as`` says in a line what the source was taken for, see the
-    function of that name. It is one cell of a field that is ``periodic`` along some axes: the voxel
-    after the last one is the first. ``level`` is the isovalue that the source names, and
-    ``deviations`` how many standard deviations above its mean a map of its kind is shown; None
-    without one.
+    - ``shape``: voxels along z, y, x; ``dtype``: the source's type; ``spacing``: (x, y, z), as the
+      source gives it.
+    - ``slabs``: iterates from the beginning on each call: arrays (layers, ny, nx) that make up the
+      whole from z = 0 on. It raises VolumeError if the source is damaged.
+    - ``stamp``: names the source's state, as far as sizes and times of files show it.
+    - ``affine``: the map from voxels to the world, None if the source gives the spacing alone;
+      ``unit``: unit of lengths, empty if unknown.
+    - ``notes``: sentences on the steps by which this field was made of the source.
+    - ``moment``: the step of a series in time, and the number of its steps; ``unchosen``: True if
+      the first step was taken because none was chosen.
+    - ``labels``: named labels of a segmentation, None if the file does not say that it is one.
+    - ``read_as``: a line on how the source was read; see the function of that name.
+    - ``periodic``: along these axes the grid is one cell of a field that repeats: the voxel after
+      the last one is the first.
+    - ``level``: an isovalue that the source names; ``deviations``: number of standard deviations
+      above the mean at which maps of this kind are shown; None without one.
     """
 
     shape: Shape
@@ -118,21 +120,21 @@ class Grid:
 
     @classmethod
     def of(cls, array: np.ndarray, spacing: Sequence[float] = (1.0, 1.0, 1.0)) -> "Grid":
-        """The grid of an array in memory; the array is its only slab."""
+        """Return the grid of an array in memory; the array is its only slab."""
         return cls(array.shape, array.dtype, spacing, lambda: iter((array,)))
 
     def __len__(self) -> int:
-        """Layers along z."""
+        """Return the number of layers along z."""
         return self.shape[0]
 
     @property
     def size(self) -> int:
-        """Voxels in all."""
+        """The number of voxels."""
         return math.prod(self.shape)
 
     def cropped(self, region: "Region") -> "Grid":
-        """The grid of a ``region``, which lies where it lay. VolumeError where the grid does not
-        have it.
+        """Return the grid of a ``region``, at the same place in the world. Raises VolumeError if
+        the grid does not contain it.
         """
         check_region(region, self.shape)
         (x, x_end), (y, y_end), (z, z_end) = region
@@ -156,8 +158,8 @@ class Grid:
         )
 
     def raw(self, region: "Region | None") -> "Grid":
-        """The grid without its place in the world; of a ``region``, at its place among the voxels
-        of the whole.
+        """Return the grid without its place in the world; if it is only a ``region``, at the
+        region's place among the voxels of the whole.
         """
         if region is None:
             return replace(self, affine=None)
@@ -166,13 +168,13 @@ class Grid:
         return replace(self, affine=Affine.of(rows))
 
     def loaded(self) -> "Grid":
-        """The grid with all values in memory."""
+        """Return the grid with all values in memory."""
         array = self.whole()
         return replace(self, slabs=lambda: iter((array,)))
 
     def whole(self) -> np.ndarray:
-        """All values in memory; (nz, ny, nx). The source's own array where that is its only
-        slab.
+        """Return all values in memory; (nz, ny, nx). It is the source's own array if that is its
+        only slab.
         """
         slabs = self.slabs()
         first = next(slabs, None)
@@ -183,7 +185,9 @@ class Grid:
 
 
 def gathered(shape: Shape, dtype: Any, slabs: Iterable[np.ndarray]) -> np.ndarray:
-    """The array of a ``shape`` and a type that ``slabs`` make up, one after the other."""
+    """Return the array of a ``shape`` and a type that ``slabs`` of layers, one after the other,
+    make up.
+    """
     array = np.empty(shape, dtype)
     z = 0
     for slab in slabs:
@@ -197,12 +201,12 @@ Region = tuple[tuple[int, int], tuple[int, int], tuple[int, int]]
 
 
 def _straight(spacing: Sequence[float]) -> np.ndarray:
-    """From voxel indices to these times the ``spacing``; (3, 4)."""
+    """Return the map from voxel indices to these times the ``spacing``; (3, 4)."""
     return np.column_stack([np.diag(spacing), np.zeros(3)])
 
 
 def check_region(region: Region, shape: Shape) -> None:
-    """Raise VolumeError where a ``shape`` (z, y, x) does not have a ``region``, or that is no two
+    """Raise VolumeError if a ``region`` reaches beyond a ``shape`` (z, y, x), or is less than two
     voxels wide.
     """
     for axis, (low, high), n in zip("xyz", region, shape[::-1], strict=True):
@@ -214,7 +218,7 @@ def check_region(region: Region, shape: Shape) -> None:
 
 
 def _cropped(slabs: Callable[[], Iterator[np.ndarray]], region: Region) -> Iterator[np.ndarray]:
-    """The part of slabs that is in a region; no slab after it is read."""
+    """Yield the part of slabs that is in a region; read no slab after it."""
     (x, x_end), (y, y_end), (z, z_end) = region
     at = 0
     for slab in slabs():
@@ -237,8 +241,9 @@ UNPLACED = "it does not say where it lies"
 def read_as(
     kind: str, stored: np.dtype[Any], placed: str = "", slope: float = 1.0, intercept: float = 0.0
 ) -> str:
-    """What a source was taken for: its ``kind``, the type of ``stored`` numbers, how these become
-    values, and what in it says where voxels lie, ``placed``, empty where nothing does.
+    """Return a line on how a source was read: its ``kind``, the type of ``stored`` numbers, how
+    these become values, and the metadata by which its voxels are ``placed``, empty if nothing
+    places them.
     """
     if stored.byteorder == ">" and stored.itemsize > 1:
         order = ", big-endian"
@@ -256,7 +261,7 @@ def read_as(
 
 
 def slab_layers(layer_bytes: int) -> int:
-    """Number of layers of so many bytes in a slab, at least one."""
+    """Return the number of layers of ``layer_bytes`` bytes in a slab, at least one."""
     return max(SLAB_BYTES // max(layer_bytes, 1), 1)
 
 
@@ -272,12 +277,12 @@ MAX_GROWTH = 8
 
 
 def on_right_angles(grid: Grid, spacing: tuple[float, ...] | None = None) -> Grid:
-    """The field with an affine that is a rotation of a box, right-handed, whose ``spacing`` may be
-    given.
+    """Return the field with an affine map that turns a box without mirroring it. Its ``spacing``
+    may be given.
 
-    Mirrored axes are read the other way round along x: no value changes. Skewed axes are resampled
-    linearly along the layers, and a note says so. A grid without an affine stays as it is. Raises
-    VolumeError where axes lie in one plane.
+    A grid with mirrored axes is read from the other end along x: no value changes. Skewed axes are
+    resampled linearly along the layers, and a note says so. A grid without an affine map keeps its
+    voxels. Raises VolumeError if axes lie in one plane.
     """
     if grid.affine is None:
         return replace(grid, spacing=spacing or grid.spacing)
@@ -295,12 +300,12 @@ def on_right_angles(grid: Grid, spacing: tuple[float, ...] | None = None) -> Gri
 
 
 def _lengths(matrix: np.ndarray) -> tuple[float, ...]:
-    """World lengths of a step along x, y, z: of the matrix's columns."""
+    """Return the lengths in the world of a step along x, y, z: of the matrix's columns."""
     return tuple(math.hypot(*column) for column in matrix.T.tolist())
 
 
 def _right_handed(grid: Grid) -> Grid:
-    """The grid, its x the other way round where its axes are a left-handed system."""
+    """Return the grid, from the other end along x if its axes are left-handed."""
     assert grid.affine is not None, "on_right_angles has asked"
     array = grid.affine.array
     if np.linalg.det(array[:, :3]) > 0.0:
@@ -311,12 +316,14 @@ def _right_handed(grid: Grid) -> Grid:
 
 
 def _turned(grid: Grid) -> Iterator[np.ndarray]:
-    """The slabs of a grid, x the other way round."""
+    """Return the slabs of a grid, from the other end along x."""
     return (slab[..., ::-1] for slab in grid.slabs())
 
 
 def _set_straight(grid: Grid, steps: tuple[float, ...]) -> Grid:
-    """A right-handed grid with the spacing ``steps``, resampled where its axes are skewed."""
+    """Return a right-handed grid with the spacing ``steps``, resampled if its axes are skewed by
+    more than MAX_SKEW_VOXELS.
+    """
     assert grid.affine is not None, "on_right_angles has asked"
     array = grid.affine.array
     rotation, skewed = decompose(array[:, :3])
@@ -331,10 +338,11 @@ def _set_straight(grid: Grid, steps: tuple[float, ...]) -> Grid:
 
 
 def decompose(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A rotation and an upper triangle with a positive diagonal, whose product is the ``matrix``;
-    (3, 3) each.
+    """Return a rotation and an upper triangle with a positive diagonal, whose product is the
+    ``matrix``; (3, 3) each.
 
-    The layers' own x axis and plane keep their directions: a layer is moved, and never tilted.
+    The x axis and the plane of the layers keep their directions: a layer is moved, and never
+    tilted.
     """
     rotation, triangle = np.linalg.qr(matrix)
     signs = np.where(np.diag(triangle) < 0.0, -1.0, 1.0)
@@ -342,14 +350,17 @@ def decompose(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _resampled(grid: Grid, rotation: np.ndarray, skewed: np.ndarray) -> Grid:
-    """A skewed grid on right angles: rows and layers are moved in their own planes, and between
-    voxels is linear.
+    """Return a ``skewed`` grid, resampled linearly so that its axes are at right angles.
 
-    Voxels of the new grid that the old one does not reach are holes.
+    The grid's matrix is the ``rotation`` times the upper triangle ``skewed``, see ``decompose``:
+    rows move along x, and layers along x and y, but no layer is tilted. Voxels of the new grid that
+    the old one does not reach are holes. Raises VolumeError if layers would grow more than
+    MAX_GROWTH times.
     """
     assert grid.affine is not None, "on_right_angles has asked"
     nz, ny, nx = grid.shape
     steps = np.diag(skewed)
+    # Find by how many rows the last layer is moved, and by how many columns the corners are.
     rows = skewed[1, 2] / steps[1] * np.array([0.0, nz - 1.0])
     columns = (
         np.add.outer(
@@ -357,11 +368,13 @@ def _resampled(grid: Grid, rotation: np.ndarray, skewed: np.ndarray) -> Grid:
         )
         / steps[0]
     )
+    # Enclose all of them in a box, whose first voxel lies at ``first`` of the old grid.
     first = np.floor([columns.min(), rows.min()])
     width = int(math.ceil(nx - 1 + columns.max()) - first[0]) + 1
     height = int(math.ceil(ny - 1 + rows.max()) - first[1]) + 1
     if width * height > MAX_GROWTH * nx * ny:
         raise VolumeError(f"The volume's axes are too skewed: resample it first, or {OR_RAW}.")
+    # Means of numbers of up to 16 bits fit float32.
     wide = grid.dtype.itemsize > 2 and grid.dtype != np.float32
     dtype: np.dtype[Any] = np.dtype(np.float64 if wide else np.float32)
     origin = grid.affine.array[:, 3] + rotation[:, :2] @ (first * steps[:2])
@@ -387,8 +400,8 @@ def _moved(
     size: tuple[int, int],
     dtype: np.dtype[Any],
 ) -> Iterator[np.ndarray]:
-    """The layers of a skewed grid, each moved to where it is on right angles; (1, height, width)
-    each.
+    """Yield the layers of a skewed grid, each moved to its place on right angles; (1, height,
+    width) each.
     """
     k = 0
     for slab in grid.slabs():
@@ -406,16 +419,18 @@ VOXEL_TOLERANCE = 1e-6
 
 
 def on_voxels(places: np.ndarray) -> np.ndarray:
-    """Real ``places`` along an axis, those next to a voxel on it: rounding would mix zeros with a
-    share of 1e-16 of what is beside them, and so make values of another order of them.
+    """Return real ``places`` along an axis; those next to a voxel are put on it.
+
+    Otherwise rounding would mix a share of 1e-16 of a neighbour into a zero, and make it a value of
+    another order.
     """
     nearest = np.round(places)
     return np.where(np.abs(places - nearest) <= VOXEL_TOLERANCE, nearest, places)
 
 
 def _between(layer: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Linear values of a ``layer`` at real ``rows`` (h,) and their ``columns`` (h, w); NaN outside
-    of it.
+    """Interpolate a ``layer`` linearly at real ``rows`` (h,) and their ``columns`` (h, w); NaN
+    outside of it.
     """
     ny, nx = layer.shape
     j = np.clip(np.floor(rows), 0, ny - 2).astype(int)
@@ -439,8 +454,10 @@ ROUNDING = 1e-12
 
 
 def cancelled(values: np.ndarray, parts: Sequence[np.ndarray]) -> np.ndarray:
-    """Sums of ``parts``, 0 where these cancel: what rounding leaves is no value of the field, and a
-    survey of values of a few steps would find nothing but such.
+    """Return ``values``, the sums of ``parts``, with 0 for sums that cancel.
+
+    What rounding leaves of these is no value of the field, and a survey of a field of few values
+    would count it as one.
     """
     greatest = np.abs(parts[0])
     for part in parts[1:]:

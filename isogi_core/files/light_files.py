@@ -41,12 +41,12 @@ class LitMesh:
 
     @property
     def triangles(self) -> np.ndarray:
-        """Two for each quadrilateral, (2m, 3)."""
+        """Two triangles for each quadrilateral, (2m, 3)."""
         return np.concatenate([self.quads[:, [0, 1, 2]], self.quads[:, [0, 2, 3]]])
 
 
 def ply_bytes(mesh: LitMesh) -> bytes:
-    """A binary PLY file; its colours are sRGB bytes, as its readers take them."""
+    """Return a binary PLY file; its colours are sRGB bytes, as its readers take them."""
     fields: list[Any] = [(name, "<f4") for name in ("x", "y", "z", "nx", "ny", "nz")]
     fields += [(name, "u1") for name in ("red", "green", "blue")]
     points = np.empty(len(mesh.vertices), fields)
@@ -77,8 +77,8 @@ def ply_bytes(mesh: LitMesh) -> bytes:
 
 
 def obj_bytes(mesh: LitMesh) -> bytes:
-    """A Wavefront OBJ file with normals; its colours are sRGB from 0 to 1 behind each vertex, as
-    many readers take.
+    """Return a Wavefront OBJ file with normals; its colours are sRGB from 0 to 1 behind each
+    vertex, as many readers take.
     """
     points = np.column_stack([mesh.vertices, srgb_bytes(mesh.colours) / 255.0]).tolist()
     lines = [f"v {x:.9g} {y:.9g} {z:.9g} {r:.4g} {g:.4g} {b:.4g}" for x, y, z, r, g, b in points]
@@ -95,8 +95,7 @@ UPRIGHT_ROTATION = [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]
 
 
 def glb_bytes(mesh: LitMesh) -> bytes:
-    """A binary glTF 2.0 file: linear COLOR_0, and no other light (KHR_materials_unlit).
-
+    """Return a binary glTF 2.0 file: linear COLOR_0, and no other light (KHR_materials_unlit).
     Vertices are floats about the mesh's middle, whose place is that of the node.
     """
     middle = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2.0
@@ -148,7 +147,7 @@ def glb_bytes(mesh: LitMesh) -> bytes:
 
 
 def _chunk(kind: int, data: bytes, filler: bytes) -> bytes:
-    """A chunk of a binary glTF file, filled up to whole words."""
+    """Return a chunk of a binary glTF file, filled up to whole words."""
     padded = data + filler * (-len(data) % 4)
     return np.array([len(padded), kind], "<u4").tobytes() + padded
 
@@ -162,7 +161,7 @@ repeats them.
 """
 
 MAX_TEXTURE_SIDE = 16384
-"""Texels a side of a texture, at most: what graphics processors take."""
+"""Largest side of a texture in texels, as graphics processors take it."""
 
 LAYER = """\
 #usda 1.0
@@ -234,8 +233,7 @@ def Xform "Isosurface" (
 
 
 def usd_layer(mesh: LitMesh, texture: str) -> bytes:
-    """The layer of a mesh that emits the light of the file ``texture`` and reflects none.
-
+    """Return the layer of a mesh that emits the light of the file ``texture`` and reflects none.
     Points are about the mesh's middle, whose place is that of the root; a turn brings z up to USD's
     y up.
     """
@@ -256,11 +254,11 @@ def usd_layer(mesh: LitMesh, texture: str) -> bytes:
 
 
 def light_texture(mesh: LitMesh) -> np.ndarray:
-    """The texture of a mesh, sRGB bytes (h, w, 3): a block of BLOCK_TEXELS × BLOCK_TEXELS for each
-    quadrilateral.
+    """Return the texture of a mesh, sRGB bytes (h, w, 3): a block of BLOCK_TEXELS × BLOCK_TEXELS
+    for each quadrilateral.
 
     Its middle texels are the corners' colours, so that between them a bilinear filter interpolates
-    the light. Raises VolumeError where it would be too large.
+    the light. Raises VolumeError if it would be too large.
     """
     columns, rows = _texture_blocks(len(mesh.quads))
     if columns * BLOCK_TEXELS > MAX_TEXTURE_SIDE:
@@ -279,8 +277,8 @@ def light_texture(mesh: LitMesh) -> np.ndarray:
 
 
 def texture_places(quads: int) -> np.ndarray:
-    """Where the corners of each of so many quadrilaterals are in their texture: u, v from its lower
-    left (n, 4, 2).
+    """Return the places of the corners of each of ``quads`` quadrilaterals in their texture: u, v
+    from its lower left (n, 4, 2).
     """
     columns, rows = _texture_blocks(quads)
     row, column = np.divmod(np.arange(quads), columns)
@@ -301,8 +299,8 @@ header's bytes.
 
 
 def usdz_package(files: dict[str, bytes]) -> bytes:
-    """A usdz package: a ZIP archive of stored files whose bytes are aligned; the first is the layer
-    to open.
+    """Return a usdz package: a ZIP archive of stored files whose bytes are aligned; the first is
+    the layer to open.
     """
     package = io.BytesIO()
     with zipfile.ZipFile(package, "w", zipfile.ZIP_STORED) as archive:
@@ -317,13 +315,13 @@ def usdz_package(files: dict[str, bytes]) -> bytes:
 
 
 def _texture_blocks(quads: int) -> tuple[int, int]:
-    """Columns and rows of a texture's blocks, as square as may be."""
+    """Return the columns and rows of a texture's blocks, as square as can be."""
     columns = max(int(np.ceil(np.sqrt(quads))), 1)
     return columns, max(-(-quads // columns), 1)
 
 
 def _rows(values: np.ndarray) -> str:
-    """Rows of numbers as USD's text has them; no digit more than a float32 tells."""
+    """Return rows of numbers as USD's text has them, without digits beyond those of a float32."""
     one = "(" + ", ".join(["%.8g"] * values.shape[1]) + ")"
     return f"[{', '.join([one] * len(values)) % tuple(values.astype(np.float32).ravel().tolist())}]"
 
@@ -364,9 +362,8 @@ class LitVolume:
 
 
 def vti_bytes(lit: LitVolume) -> bytes:
-    """An image file of VTK with arrays of points, bytes or floats, little-endian, raw at its end.
-
-    Format: VTK's XML image data, version 1.0.
+    """Return an image file of VTK with arrays of points, bytes or floats, little-endian, raw at its
+    end. Format: VTK's XML image data, version 1.0.
     """
     arrays = lit.arrays
     affine = lit.affine
@@ -413,8 +410,8 @@ def vti_bytes(lit: LitVolume) -> bytes:
 
 
 def nrrd_bytes(lit: LitVolume) -> bytes:
-    """A NRRD file of arrays of points together: a vector of floats at each voxel, such as value,
-    red, green, blue.
+    """Return a NRRD file of arrays of points together: a vector of floats at each voxel, such as
+    value, red, green, blue.
     """
     block = lit.together
     affine = lit.affine
@@ -441,10 +438,8 @@ NIFTI_UNITS = {"mm": "mm", "m": "meter", "µm": "micron"}
 
 
 def nifti_bytes(lit: LitVolume) -> bytes:
-    """A packed NIfTI file, one vector at each voxel (intent VECTOR), written by nibabel; its world
-    is RAS.
-
-    Raises VolumeError where nibabel is missing.
+    """Return a packed NIfTI file, one vector at each voxel (intent VECTOR), written by nibabel; its
+    world is RAS. Raises VolumeError if nibabel is missing.
     """
     nib = nibabel()
     affine = np.vstack([lit.affine, [0.0, 0.0, 0.0, 1.0]])
@@ -460,14 +455,13 @@ def nifti_bytes(lit: LitVolume) -> bytes:
 
 
 def nibabel() -> Any:
-    """The library that writes NIfTI. Raises VolumeError where it is missing."""
+    """Return the library that writes NIfTI. Raises VolumeError if it is missing."""
     return library("nibabel", "NIfTI")
 
 
 def write_zarr(path: Path, lit: LitVolume) -> None:
-    """An OME-Zarr image (NGFF 0.5) of one resolution, whose channels are the numbers of each point.
-
-    Raises VolumeError as ``check_zarr`` does.
+    """Write an OME-Zarr image (NGFF 0.5) of one resolution, whose channels are the numbers of each
+    point. Raises VolumeError as ``check_zarr`` does.
     """
     check_zarr(path, lit.affine)
     block, steps, origin = straightened(lit.together, lit.affine)
@@ -507,7 +501,7 @@ def write_zarr(path: Path, lit: LitVolume) -> None:
 
 
 def check_zarr(path: Path, affine: np.ndarray) -> None:
-    """Raise VolumeError where a volume does not lie along the world's axes, or the folder is there
+    """Raise VolumeError if a volume does not lie along the world's axes, or the folder is there
     already.
     """
     if path.exists():
@@ -520,7 +514,7 @@ def check_zarr(path: Path, affine: np.ndarray) -> None:
 
 
 def channels(lit: LitVolume) -> list[dict[str, Any]]:
-    """What viewers are told of the channels: name, colour and the range to show."""
+    """Return the channels as viewers take them: name, colour and the range to show."""
     colours = {"red": "FF0000", "green": "00FF00", "blue": "0000FF"}
     value = next(iter(lit.arrays.values()))
     low, high = float(np.nanmin(value)), float(np.nanmax(value))
@@ -535,10 +529,8 @@ def channels(lit: LitVolume) -> list[dict[str, Any]]:
 def straightened(
     block: np.ndarray, affine: np.ndarray
 ) -> tuple[np.ndarray, list[float], list[float]]:
-    """An array (nz, ny, nx, k) with its axes along the world's, the steps along x, y, z, and the
-    first voxel's place.
-
-    The ``affine`` turns by right angles.
+    """Return an array (nz, ny, nx, k) with its axes along the world's, the steps along x, y, z, and
+    the first voxel's place. The ``affine`` turns by right angles.
     """
     matrix = affine[:, :3]
     origin = affine[:, 3].copy()

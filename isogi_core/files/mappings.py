@@ -1,7 +1,7 @@
-"""Files that are mapped into memory, and the budget that decides what is mapped.
+"""Files that are mapped into memory, and the budget that decides which files are.
 
-Pages of mapped files are the system's to take back: they count as memory of a process while nobody
-else needs it.
+The system may take back pages of mapped files: they count as memory of a process until others need
+it.
 """
 
 import mmap
@@ -30,8 +30,8 @@ nothing does.
 
 
 def budget() -> int:
-    """Most bytes of voxels in memory; VolumeError where the environment variable is no such
-    number.
+    """Return the most bytes of voxels in memory. Raises VolumeError if the environment variable is
+    no such number.
     """
     given = os.environ.get("ISOGI_VOLUME_MB") or str(DEFAULT_BUDGET_MB)
     if not given.isdecimal() or not int(given):
@@ -42,8 +42,8 @@ def budget() -> int:
 
 
 def require_memory(size: int, what: str, otherwise: str) -> None:
-    """Raise VolumeError where ``size`` bytes are more than the budget: ``what`` takes them, and
-    what to do instead.
+    """Raise VolumeError if ``size`` bytes are more than the budget. Its message says ``what`` takes
+    them, and ``otherwise`` advises.
     """
     if size > budget():
         raise VolumeError(
@@ -52,8 +52,8 @@ def require_memory(size: int, what: str, otherwise: str) -> None:
 
 
 def map_file(file: IO[bytes], offset: int) -> np.ndarray:
-    """Map what a file holds from a byte on, float32. Writing to the array would take memory of this
-    process.
+    """Map the content of a file from a byte on, float32. Writing to the array would take memory of
+    this process.
     """
     flags = mmap.MAP_PRIVATE | NO_RESERVE
     access = mmap.PROT_READ | mmap.PROT_WRITE
@@ -62,8 +62,8 @@ def map_file(file: IO[bytes], offset: int) -> np.ndarray:
 
 
 def scratch(folder: Path, count: int, dtype: Any) -> np.ndarray:
-    """An array of ``count`` numbers, of any values, in a file that has no name; in memory where the
-    disk is full.
+    """Return an array of ``count`` numbers, of any values, in a file that has no name; in memory if
+    the disk is full.
     """
     size = count * np.dtype(dtype).itemsize
     try:

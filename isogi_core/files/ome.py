@@ -31,7 +31,7 @@ UNIT_SIGNS = {
 """Signs of units; others are written out."""
 
 UNIT_WORDS = {sign: word for word, sign in UNIT_SIGNS.items()}
-"""What NGFF calls units, by their signs."""
+"""NGFF's names of units, by their signs."""
 
 AXIS_ORIENTATIONS = {
     **{
@@ -52,8 +52,9 @@ NGFF's RFC 4.
 
 @dataclass(frozen=True)
 class Axis:
-    """An axis of an array: its ``name``, such as z or c, its ``unit``, and where it goes
-    ``towards`` in a patient, one of AXIS_ORIENTATIONS; empty where it does not say.
+    """An axis of an array: its ``name``, such as z or c, its ``unit``, and the direction
+    ``towards`` which it goes in a patient, one of AXIS_ORIENTATIONS; both are empty if the image
+    does not give them.
     """
 
     name: str
@@ -64,8 +65,8 @@ class Axis:
 @dataclass(frozen=True, eq=False)
 class Resolution:
     """One array of a multiscale image: its ``path`` below the image, the axes of its world, and the
-    ``matrix`` from the array's indices to these, (n, n + 1), its last column the origin. Both are
-    empty where nothing is said.
+    ``matrix`` from the array's indices to these, (n, n + 1), whose last column is the origin. There
+    are neither if the image has no axes.
     """
 
     path: str
@@ -74,22 +75,22 @@ class Resolution:
 
     @property
     def shifted(self) -> bool:
-        """Whether the array's first voxel lies elsewhere than at the origin."""
+        """True if the array's first voxel is not at the origin."""
         return self.matrix is not None and bool(self.matrix[:, -1].any())
 
 
 def ome_of(attributes: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The metadata among a group's attributes."""
+    """Return the metadata of OME among a group's attributes."""
     held = attributes.get("ome", attributes)
     return held if isinstance(held, Mapping) else {}
 
 
 def resolutions_of(attributes: Mapping[str, Any], name: str) -> list[Resolution]:
-    """The resolutions of the image whose group has these ``attributes``, finest first; empty where
-    it is no image.
+    """Return the resolutions of the image whose group has these ``attributes``, finest first; empty
+    if it is no image.
 
-    Raises VolumeError, which names the image by ``name``, where its metadata is damaged, or it does
-    not lie straight.
+    Raises VolumeError, which names the image by ``name``, if its metadata are damaged, or if it is
+    placed by a transformation that is not affine.
     """
     images = ome_of(attributes).get("multiscales")
     if images is None:
@@ -111,8 +112,8 @@ def _undamaged(name: str) -> Iterator[None]:
 
 
 def _resolution(image: Mapping[str, Any], dataset: Mapping[str, Any]) -> Resolution:
-    """One entry of the image's datasets, placed by it and, before 0.6, by the whole image's
-    transformations.
+    """Return one entry of the image's datasets, placed by its transformations and, before 0.6, by
+    those of the whole image.
     """
     systems = image.get("coordinateSystems")
     steps = list(dataset.get("coordinateTransformations", []))
@@ -134,7 +135,7 @@ def _resolution(image: Mapping[str, Any], dataset: Mapping[str, Any]) -> Resolut
 
 
 def _axes(given: Any) -> tuple[Axis, ...]:
-    """Names and units of axes; before NGFF 0.4 there were names alone."""
+    """Return axes with their names and units; before NGFF 0.4 there were names alone."""
     return tuple(Axis(each.lower()) if isinstance(each, str) else _axis(each) for each in given)
 
 
@@ -152,7 +153,7 @@ AFFINE_HINT = "write it with an affine one"
 
 
 def _sequence(steps: Any, n: int) -> np.ndarray:
-    """The matrix, (n + 1, n + 1), of transformations one after the other."""
+    """Return the matrix, (n + 1, n + 1), of transformations one after the other."""
     matrix = np.eye(n + 1)
     for step in steps:
         matrix = _matrix(step, n) @ matrix
@@ -160,7 +161,11 @@ def _sequence(steps: Any, n: int) -> np.ndarray:
 
 
 def _matrix(step: Mapping[str, Any], n: int) -> np.ndarray:
-    """The matrix, (n + 1, n + 1), of a transformation."""
+    """Return the homogeneous matrix, (n + 1, n + 1), of one transformation of n axes.
+
+    Raises VolumeError if it is of a kind that is not read here. Damaged metadata raise errors of
+    several kinds, which the callers turn into VolumeError.
+    """
     kind = step["type"]
     matrix = np.eye(n + 1)
     if kind == "sequence":
@@ -177,6 +182,8 @@ def _matrix(step: Mapping[str, Any], n: int) -> np.ndarray:
             f"The image is placed by a transformation '{kind}' that is not in its metadata: "
             f"{AFFINE_HINT}."
         )
+    # An axis map lists the input axis of each output axis; scales are on the diagonal, translations
+    # in the last column; rotations and affine matrices are given row by row.
     if kind == "mapAxis":
         matrix[:n] = matrix[np.array(step[kind], int)]
     elif kind in ("scale", "translation"):
@@ -189,7 +196,9 @@ def _matrix(step: Mapping[str, Any], n: int) -> np.ndarray:
 
 
 def array_axes(resolution: Resolution) -> tuple[Axis, ...]:
-    """The axes of a resolution's array: each is that of the world along which it goes most."""
+    """Return the axes of a resolution's array: each is the one of the world along which it mostly
+    goes.
+    """
     assert resolution.matrix is not None, "there are axes"
     most = np.argmax(np.abs(resolution.matrix[:, :-1]), axis=0).tolist()
     if len(set(most)) == len(most):
@@ -198,15 +207,19 @@ def array_axes(resolution: Resolution) -> tuple[Axis, ...]:
 
 
 def placed_in_space(resolution: Resolution) -> tuple[np.ndarray, str, str]:
-    """From indices along x, y, z to the world's x, y, z in the unit of x, (3, 4), the sign of that
-    unit, and the letters of a patient's world, where all axes say how they lie in one. Units that
-    cannot be compared are taken as one: see ``odd_units``.
+    """Return the affine matrix from indices along x, y, z to the world's x, y, z, (3, 4), the sign
+    of its unit, which is that of the x axis, and the letters of the patient's axes.
+
+    The world is the patient's if all axes say in which anatomical direction they go; else the
+    letters are empty, and the world is the image's. If the units of axes cannot be compared, they
+    are taken as one: see ``odd_units``.
     """
     matrix, unit = _in_one_unit(resolution)
     towards = [axis.towards for name in SPACE_AXES for axis in resolution.axes if axis.name == name]
     places = [AXIS_ORIENTATIONS.get(word, (-1, 0.0)) for word in towards]
     if sorted(place for place, _ in places) != [0, 1, 2]:
         return matrix, unit, ""
+    # Move each row of the matrix to the patient's axis along which it goes, with its direction.
     patient = np.empty_like(matrix)
     for row, (place, sign) in zip(matrix, places, strict=True):
         patient[place] = sign * row
@@ -222,7 +235,9 @@ def odd_units(resolution: Resolution) -> str:
 
 
 def _in_one_unit(resolution: Resolution) -> tuple[np.ndarray, str]:
-    """The matrix of ``placed_in_space`` and its unit, along the axes of the image's own world."""
+    """Return the matrix of ``placed_in_space`` and its unit, along the axes of the
+    image's world.
+    """
     assert resolution.matrix is not None, "there are axes"
     columns, rows = (
         [axis.name for axis in axes] for axes in (array_axes(resolution), resolution.axes)
@@ -239,12 +254,12 @@ def _in_one_unit(resolution: Resolution) -> tuple[np.ndarray, str]:
 
 
 def first_image(attributes: Mapping[str, Any], name: str, inside: str = "") -> tuple[str, str]:
-    """The path of the first of several images below a group, and a note that says what else there
-    is; else empty.
+    """Return the path of the first of several images below a group, and a note that lists the
+    others; empty if it is no such group.
 
-    A group is a plate of wells, a well of fields, or what bioformats2raw has made of a file. It is
-    ``inside`` the hierarchy of this ``name``, at this path. Raises VolumeError where its metadata
-    is damaged.
+    Such a group is a plate of wells, a well of fields, or a file that bioformats2raw has converted.
+    It is at the path ``inside`` the hierarchy of this ``name``. Raises VolumeError if its metadata
+    are damaged.
     """
     held = ome_of(attributes)
     for kind, parts, part in (("plate", "wells", "well"), ("well", "images", "field")):
@@ -291,7 +306,7 @@ def labels_of(attributes: Mapping[str, Any], name: str) -> tuple[LabelName, ...]
 
 
 def _name(properties: Mapping[str, Any]) -> str:
-    """The name among a label's properties; they are not standardised."""
+    """Return the name among a label's properties; their keys are not standardised."""
     keys = ("name", "label", "class", "class name")
     return next((value for key in keys if isinstance(value := properties.get(key), str)), "")
 
@@ -318,8 +333,8 @@ Progress = Callable[[int, int], object]
 
 
 def write_image(grid: Grid, path: Path, progress: Progress) -> tuple[str, ...]:
-    """Write a ``grid`` as an image in the folder ``path``, and return notes on what is lost.
-    VolumeError where there is something already; nothing is left of a failed one.
+    """Write a ``grid`` as an image in the folder ``path``, and return notes on properties that are
+    lost. Raises VolumeError if there is something already; if writing fails, nothing is left.
     """
     if path.exists():
         raise VolumeError(
@@ -333,13 +348,13 @@ def write_image(grid: Grid, path: Path, progress: Progress) -> tuple[str, ...]:
 
 
 class Lying:
-    """How the axes z, y, x of a ``grid`` on right angles lie along those of the world: their
-    ``names`` there, and whether each is read the other way round, so that it ascends. ``turned``
-    ones lie along none.
+    """The directions of the axes z, y, x of a ``grid`` on right angles in the world: their
+    ``names`` there, and for each axis, True if it is read from its other end so that it ascends.
+    ``turned`` axes go along none of the world's.
     """
 
     def __init__(self, grid: Grid) -> None:
-        """Look at where the grid lies."""
+        """Find the directions of the grid's axes."""
         if grid.affine is None:
             rows = np.eye(3)
         else:
@@ -366,7 +381,7 @@ class Lying:
             self.letters = grid.affine.letters
 
     def axes(self, unit: str) -> list[dict[str, Any]]:
-        """The axes as NGFF has them."""
+        """Return the axes as NGFF describes them."""
         if unit:
             unit_of = {"unit": UNIT_WORDS.get(unit, unit)}
         else:
@@ -376,7 +391,7 @@ class Lying:
         ]
 
     def _towards(self, name: str) -> dict[str, Any]:
-        """Where an axis of a patient points."""
+        """Return the direction in which an axis of a patient points, as NGFF describes it."""
         value = next(
             word for word, place in AXIS_ORIENTATIONS.items() if place == ("xyz".index(name), 1.0)
         )
@@ -423,9 +438,7 @@ def _write(grid: Grid, lies: Lying, path: Path, progress: Progress) -> None:
 
 
 def _dataset(level: int, lies: Lying, factor: np.ndarray, labelled: bool) -> dict[str, Any]:
-    """Where a level lies: the middle of its first voxel is that of the voxels which it is the mean
-    of.
-    """
+    """Return the place of a level: its first voxel is in the middle of those whose mean it is."""
     steps = [step * each for step, each in zip(lies.steps, factor.tolist(), strict=True)]
     shift = [
         0.0 if labelled else 0.5 * (far - near) for far, near in zip(steps, lies.steps, strict=True)
@@ -436,7 +449,9 @@ def _dataset(level: int, lies: Lying, factor: np.ndarray, labelled: bool) -> dic
 
 
 def _blocks(grid: Grid) -> Iterator[tuple[int, np.ndarray]]:
-    """The grid's layers, as many as a chunk has at once, each with the place of its first."""
+    """Yield the grid's layers, as many as a chunk has at once, each block with the number of its
+    first layer.
+    """
     held: list[np.ndarray] = []
     z = 0
     for slab in grid.slabs():
@@ -453,15 +468,15 @@ def _blocks(grid: Grid) -> Iterator[tuple[int, np.ndarray]]:
 def _flipped(
     blocks: Iterator[tuple[int, np.ndarray]], depth: int, flips: tuple[bool, ...]
 ) -> Iterator[tuple[int, np.ndarray]]:
-    """Blocks with their axes the other way round."""
+    """Yield blocks read from the other end along the axes of ``flips``."""
     turn = tuple(slice(None, None, -1 if flip else 1) for flip in flips)
     for z, block in blocks:
         yield (depth - z - len(block) if flips[0] else z), block[turn]
 
 
 def _coarser(array: Any, halves: list[bool], labelled: bool) -> Iterator[tuple[int, np.ndarray]]:
-    """Blocks of half as many voxels along the axes that are ``halves``: means, or, of labels, every
-    second one.
+    """Yield blocks of half as many voxels along the axes that are ``halves``: means, or, of labels,
+    every second one.
     """
     deep = 2 if halves[0] else 1
     for z in range(0, array.shape[0], deep * CHUNK_VOXELS):
@@ -470,9 +485,9 @@ def _coarser(array: Any, halves: list[bool], labelled: bool) -> Iterator[tuple[i
 
 
 def halved(block: np.ndarray, halves: list[bool], labelled: bool = False) -> np.ndarray:
-    """A block whose neighbours along the axes that are ``halves`` are joined: their mean without
-    holes, in the block's type, or the first of them where it is ``labelled``. The last voxel of an
-    odd side stands alone.
+    """Return a block whose neighbours along the axes that are ``halves`` are joined: to their mean
+    without holes, in the block's type, or to the first of them if they are ``labelled``. The last
+    voxel of an odd side stays as it is.
     """
     if labelled:
         return block[tuple(slice(None, None, 2 if half else 1) for half in halves)]
@@ -489,7 +504,7 @@ def halved(block: np.ndarray, halves: list[bool], labelled: bool = False) -> np.
 
 
 def _labels(grid: Grid) -> dict[str, Any]:
-    """What the labels of a segmentation are called."""
+    """Return the names and colours of a segmentation's labels, as NGFF has them."""
     if grid.labels is None:
         return {}
     colours = [
@@ -502,6 +517,6 @@ def _labels(grid: Grid) -> dict[str, Any]:
 
 
 def size_of(path: Path) -> int:
-    """Bytes of a file, or of all files in a folder."""
+    """Return the bytes of a file, or of all files in a folder."""
     files = [path] if path.is_file() else path.rglob("*")
     return sum(each.stat().st_size for each in files if each.is_file())

@@ -1,5 +1,5 @@
-"""Files as they lie on the disk: what they hold, also packed by gzip or bzip2, how they end, and
-their state.
+"""Files as they are on the disk: their content, also packed by gzip or bzip2, their ends, and their
+state.
 """
 
 import bz2
@@ -22,7 +22,7 @@ READ_BYTES = 1 << 24
 Content = IO[bytes] | gzip.GzipFile | bz2.BZ2File
 
 PACKING_DAMAGE = (OSError, EOFError, zlib.error)
-"""What a packed file raises where it is damaged."""
+"""Errors that a packed file raises if it is damaged."""
 
 CUT_SHORT_NOTE = (
     "The gzip file ends before its checksum: its voxels are all there, but "
@@ -31,7 +31,9 @@ CUT_SHORT_NOTE = (
 
 
 def content_of(file: IO[bytes]) -> Content:
-    """The content of a ``file`` at its beginning, unpacked while it is read, by how it begins."""
+    """Return the content of a ``file`` at its beginning. If it begins as gzip or bzip2, it is
+    unpacked while it is read.
+    """
     head = file.read(len(BZIP2_MAGIC))
     file.seek(0)
     if head.startswith(GZIP_MAGIC):
@@ -42,11 +44,10 @@ def content_of(file: IO[bytes]) -> Content:
 
 
 def read_end(content: Content) -> int:
-    """How many bytes come after those that were read: none or one. A checksum at the end is
-    compared.
+    """Return the number of bytes after those that were read: none or one.
 
-    One of gzip that is not there is passed over: ``cut_notes`` tells it. Raises one of
-    PACKING_DAMAGE.
+    A checksum at the end is compared. If gzip's is missing, this is passed over: ``cut_notes``
+    reports it. Raises one of PACKING_DAMAGE.
     """
     try:
         return len(content.read(1))
@@ -57,11 +58,11 @@ def read_end(content: Content) -> int:
 
 
 def cut_notes(file: IO[bytes], size: int) -> tuple[str, ...]:
-    """CUT for a gzip ``file`` that begins here, whose content of ``size`` bytes is whole, and whose
-    checksum is not.
+    """Return the note CUT_SHORT_NOTE for a gzip ``file`` that begins here, whose content of
+    ``size`` bytes is whole, but whose checksum is not.
 
-    A gzip file ends with the size of its content. Where it does not, it is unpacked up to that
-    size, and no further.
+    A gzip file ends with the size of its content. If it does not, it is unpacked up to that size,
+    and no further.
     """
     start = file.tell()
     packed = file.read(2) == GZIP_MAGIC
@@ -79,7 +80,7 @@ def cut_notes(file: IO[bytes], size: int) -> tuple[str, ...]:
 
 
 def _is_cut(file: IO[bytes], size: int) -> bool:
-    """Whether a gzip file's content has ``size`` bytes, and then the file ends too early."""
+    """Return True if a gzip file's content has ``size`` bytes, and then the file ends too early."""
     content = gzip.GzipFile(fileobj=file)
     left = size
     try:
@@ -97,8 +98,8 @@ NO_FILE = "it is a device, a pipe or a socket, and no file"
 
 
 def open_regular(path: Path) -> IO[bytes]:
-    """A regular file, open for reading. Raises OSError: for all else, and for names that no system
-    can hold, too.
+    """Open a regular file for reading. Raises OSError, also for all that is no file, and for names
+    that no system can hold.
     """
     try:
         mode = path.stat().st_mode
@@ -110,8 +111,8 @@ def open_regular(path: Path) -> IO[bytes]:
 
 
 def read_small(path: Path, most: int) -> bytes:
-    """What a regular file holds. Raises OSError as ``open_regular`` does, and where it has more
-    than ``most`` bytes.
+    """Return the content of a regular file. Raises OSError as ``open_regular`` does, and if it has
+    more than ``most`` bytes.
     """
     with open_regular(path) as file:
         data = file.read(most + 1)
@@ -125,7 +126,7 @@ MAX_REPEATED_CHARACTERS = 60
 
 
 def in_short(value: Any) -> str:
-    """A value as a message repeats it, cut short; also a number of more digits than Python
+    """Return a value as a message repeats it, cut short; also a number of more digits than Python
     writes.
     """
     try:
@@ -138,12 +139,12 @@ def in_short(value: Any) -> str:
 
 
 def reason_of(error: OSError) -> str:
-    """What the system, or this module, says of a file that cannot be read."""
+    """Return the reason why a file cannot be read, as the system or this module states it."""
     return error.strerror or os.strerror(error.errno or errno.EIO)
 
 
 def line_of(error: BaseException) -> str:
-    """An error's type and message, on one short line."""
+    """Return an error's type and message, on one short line."""
     message = " ".join(str(error).split())
     if message:
         return f"{type(error).__name__}: {message[:200]}"
@@ -151,8 +152,8 @@ def line_of(error: BaseException) -> str:
 
 
 def stamp_of(files: Iterable[Path]) -> str:
-    """Digest (hex) of the ``files``' names, sizes and times of change. Raises OSError where one is
-    missing.
+    """Return a digest (hex) of the ``files``' names, sizes and times of change. Raises OSError if
+    one is missing.
     """
     digest = hashlib.blake2b(digest_size=16)
     for path in files:

@@ -1,8 +1,8 @@
-"""Packing: what stored numbers mean. Their type comes first, then which of them are holes, then
-slope and intercept.
+"""Packing: how stored numbers become values. First comes their type, then which numbers are holes,
+then slope and intercept.
 
-The order and the names are of NetCDF's conventions for climate and forecast data (CF 1.11, sections
-2.5 and 8.1).
+Order and names follow NetCDF's conventions for climate and forecast data (CF 1.11, sections 2.5 and
+8.1).
 """
 
 import base64
@@ -29,12 +29,12 @@ class Scaling:
 
     @property
     def trivial(self) -> bool:
-        """Whether values are as they are stored."""
+        """True if values equal the stored numbers."""
         return self.slope == 1.0 and self.intercept == 0.0
 
     def dtype(self, stored: np.dtype[Any]) -> np.dtype[Any]:
-        """The type of values: as stored where that is all, integers of integers where they can be,
-        else floats.
+        """Return the type of values: that of stored numbers if nothing is scaled, integers if
+        scaled integers fit them, else floats.
         """
         if self.trivial or stored.kind not in "iuf":
             return stored
@@ -49,7 +49,7 @@ class Scaling:
         return np.dtype(np.float32 if stored.itemsize <= 2 else np.float64)
 
     def apply(self, values: np.ndarray) -> np.ndarray:
-        """The values of stored ones, in ``dtype``."""
+        """Return the values of stored numbers, in ``dtype``."""
         if self.trivial or values.dtype.kind not in "iuf":
             return values
         kind = self.dtype(values.dtype)
@@ -64,12 +64,14 @@ Span = tuple[Any, Any]
 
 @dataclass(frozen=True)
 class Packing:
-    """Stored numbers of a type, read as ``stored``, of the same size: those in ``holes``, and those
-    outside of ``valid``, are holes; others are scaled, and then those outside of ``within`` are
-    holes too.
+    """How stored numbers become values.
 
-    Ends of spans are numbers of the type ``stored``, those of ``within`` are values. ``notes`` say
-    what was read where.
+    - ``stored``: the type as which the numbers are read; it has the size of the type in the file.
+    - ``holes``: spans of numbers that are holes; ``valid``: span outside of which all numbers are
+      holes. Their ends are of the type ``stored``.
+    - ``scaling``: is applied to all other numbers. Values outside of the span ``within`` are holes,
+      too.
+    - ``notes``: sentences that say which metadata were read so.
     """
 
     stored: np.dtype[Any]
@@ -81,7 +83,7 @@ class Packing:
 
     @property
     def dtype(self) -> np.dtype[Any]:
-        """The type of values: floats where there may be holes, which are NaN."""
+        """The type of values: floats if there may be holes, which are NaN."""
         scaled = self.scaling.dtype(self.stored)
         holed = self.holes or self.valid or self.within
         if holed:
@@ -89,7 +91,7 @@ class Packing:
         return scaled
 
     def apply(self, stored: np.ndarray) -> np.ndarray:
-        """The values of stored numbers, in ``dtype``."""
+        """Return the values of stored numbers, in ``dtype``."""
         alike = stored.dtype.newbyteorder("=") == self.stored.newbyteorder("=")
         order = stored.dtype.byteorder
         if alike:
@@ -102,11 +104,11 @@ class Packing:
         return values
 
     def read_as(self, kind: str, placed: str = "") -> str:
-        """What a source of a ``kind`` was taken for; see ``grid.read_as``."""
+        """Return the line that says how a source of a ``kind`` was read; see ``grid.read_as``."""
         return read_as(kind, self.stored, placed, self.scaling.slope, self.scaling.intercept)
 
     def _gone(self, numbers: np.ndarray, values: np.ndarray) -> list[np.ndarray]:
-        """Where there are holes, for each reason."""
+        """Mark the holes: one array (bool) for each reason that there is."""
         found = [
             numbers == low if low == high else (numbers >= low) & (numbers <= high)
             for low, high in self.holes
@@ -118,10 +120,10 @@ class Packing:
 
 
 def holed(stored: np.dtype[Any], ends: Sequence[float | None], why: str) -> Packing:
-    """The packing of numbers of which those between two ``ends``, or equal to an only one, are
-    holes.
+    """Return a packing whose numbers between two ``ends``, or equal to the only one, are holes.
 
-    Ends that are None, or that the type cannot store, are left out. ``why`` names what says so.
+    Ends that are None, or that the type cannot store, are left out. ``why`` names the metadata that
+    say so.
     """
     known = sorted(
         found for end in ends if end is not None and (found := as_stored(end, stored)) is not None
@@ -133,8 +135,8 @@ def holed(stored: np.dtype[Any], ends: Sequence[float | None], why: str) -> Pack
 
 
 def whole_type(stored: np.dtype[Any], unsigned: bool) -> np.dtype[Any]:
-    """The type of whole numbers of the same size and byte order, with or without a sign; of floats,
-    itself.
+    """Return the type of whole numbers of the same size and byte order, without a sign if
+    ``unsigned``; a type of floats is returned as it is.
     """
     if stored.kind not in "iu":
         return stored
@@ -142,12 +144,12 @@ def whole_type(stored: np.dtype[Any], unsigned: bool) -> np.dtype[Any]:
 
 
 def as_stored(value: Any, kind: np.dtype[Any]) -> Any:
-    """A number as a type stores it, for comparison with others of the type; None where the type has
-    no such number.
+    """Return a number as a type stores it, for comparison with others of the type; None if the type
+    has no such number.
 
     A float is rounded to the type: a mark of 1e20 is the float32 next to it in a file of float32.
-    Of a whole number the bits count, as attributes often have the other sign: 65535 and -1 are one
-    in 16 bits.
+    Of a whole number the bits count, as attributes often have the other sign: 65535 and -1 are the
+    same in 16 bits.
     """
     native = kind.newbyteorder("=")
     if kind.kind == "f":
@@ -171,8 +173,8 @@ NETCDF_FILL_VALUES = {
     "i2": -32767,
     "i4": -2147483647,
 }
-"""What NetCDF's library fills variables with that have no ``_FillValue``, by their types; of bytes
-all are values.
+"""Numbers by type with which NetCDF's library fills variables that have no ``_FillValue``; bytes
+have none, as all are values.
 """
 
 
@@ -185,16 +187,16 @@ PACKING_ATTRIBUTES = (
     "scale_factor",
     "add_offset",
 )
-"""CF's vocabulary: the attributes of a variable that say what its numbers mean."""
+"""CF's vocabulary: the attributes of a variable that say how its numbers become values."""
 
 
 def climate_packing(
     attributes: Mapping[str, Any], stored: np.dtype[Any], filled: Any = None
 ) -> Packing:
-    """The packing of a variable with ``attributes`` of CF's vocabulary.
+    """Return the packing of a variable with ``attributes`` of CF's vocabulary.
 
-    ``filled`` is what voxels hold that nobody wrote: a hole where it is what NetCDF fills variables
-    with by default.
+    ``filled`` is the number of voxels that were never written: it is a hole if it is the one with
+    which NetCDF fills variables by default.
     """
     kind = whole_type(stored, _is_unsigned(attributes, stored))
     given = {name: _numbers(attributes.get(name)) for name in HOLE_ATTRIBUTES}
@@ -229,7 +231,9 @@ def climate_packing(
 
 
 def _is_unsigned(attributes: Mapping[str, Any], stored: np.dtype[Any]) -> bool:
-    """Whether whole numbers have no sign, by the attribute ``_Unsigned``, else by their type."""
+    """Return True if whole numbers have no sign, by the attribute ``_Unsigned``, else by their
+    type.
+    """
     given = attributes.get("_Unsigned")
     if isinstance(given, bytes):
         word = given.decode()
@@ -239,8 +243,8 @@ def _is_unsigned(attributes: Mapping[str, Any], stored: np.dtype[Any]) -> bool:
 
 
 def _with_range(packing: Packing, attributes: Mapping[str, Any]) -> Packing:
-    """The packing with the range of valid numbers: of values where it is given in floats of scaled
-    whole numbers.
+    """Return the packing with the range of valid numbers that attributes give. If the range is in
+    floats, but stored numbers are scaled integers, it is one of values.
     """
     both = _numbers(attributes.get("valid_range"))
     if len(both) == 2:
@@ -269,7 +273,7 @@ def _with_range(packing: Packing, attributes: Mapping[str, Any]) -> Packing:
 
 
 def _holes_note(packing: Packing, marks: Mapping[str, Sequence[Any]]) -> tuple[str, ...]:
-    """What is a hole, in a sentence; empty where nothing is."""
+    """Return a sentence that lists the holes; none if there are none."""
     named = [
         f"{mark!s} ({name})"
         for name, values in marks.items()
@@ -284,7 +288,7 @@ def _holes_note(packing: Packing, marks: Mapping[str, Sequence[Any]]) -> tuple[s
 
 
 def _numbers(given: Any) -> list[Any]:
-    """The numbers of an attribute, as Python has them; none where it has none."""
+    """Return the numbers of an attribute as Python's; empty if it has none."""
     if isinstance(given, str | bytes):
         return _numbers_in(given if isinstance(given, str) else given.decode("ascii", "replace"))
     if given is None:
@@ -295,8 +299,8 @@ def _numbers(given: Any) -> list[Any]:
 
 
 def _numbers_in(text: str) -> list[float]:
-    """The numbers that a text stands for: Xarray writes those of Zarr's third version as the bytes
-    of a double.
+    """Return the numbers that a text stands for: Xarray writes those of Zarr's third version as the
+    bytes of a double.
     """
     try:
         if text.endswith("="):
@@ -307,7 +311,7 @@ def _numbers_in(text: str) -> list[float]:
 
 
 def _first(attributes: Mapping[str, Any], name: str, fallback: float) -> Any:
-    """The first number of an attribute."""
+    """Return the first number of an attribute, or the ``fallback``."""
     return (*_numbers(attributes.get(name)), fallback)[0]
 
 
@@ -347,12 +351,12 @@ FILL_NOTE = (
 
 
 def without_fill(grid: Grid) -> Grid:
-    """The grid with holes where a fill value is that its file does not name; the grid itself where
-    there is none.
+    """Return the grid with holes in place of a fill value that its file does not name; the same
+    grid if it has none.
 
-    Such a value is the least of all and negative, as zero may be a sky or the air around a phantom.
-    Many voxels have it, no other value is near, it takes what is outside of a convex region, and
-    the voxels beside it are themselves darker than much of the rest.
+    Such a value is the least of all and negative, as zero may be sky or the air around a phantom.
+    Many voxels have it, no other value is near, it takes up all outside of a convex region, and the
+    voxels next to it are darker than many others.
     """
     fill = find_fill(grid)
     if fill is None:
@@ -374,10 +378,10 @@ def _holed(grid: Grid, packing: Packing) -> Iterator[np.ndarray]:
 
 
 def find_fill(grid: Grid) -> Any:
-    """The fill value of a grid, a number of its type; None where it has none.
+    """Return the fill value of a grid, a number of its type; None if it has none.
 
-    Only the first slab is read where its first layer has no negative value that is its least in a
-    corner.
+    If no corner of the first layer has the layer's least value, or that is not negative, only the
+    first slab is read.
     """
     if grid.dtype.kind not in "if" or min(grid.shape) < 2:
         return None
@@ -396,7 +400,7 @@ def find_fill(grid: Grid) -> Any:
 
 
 def _in_a_corner(layer: np.ndarray) -> Any:
-    """The least value of a ``layer``, where it is negative and in a corner; else None."""
+    """Return the least value of a ``layer`` if it is negative and in a corner; else None."""
     least = np.fmin.reduce(layer, axis=None)
     corners = layer[:: max(len(layer) - 1, 1), :: max(layer.shape[1] - 1, 1)]
     if least < 0 and np.isfinite(least) and (corners == least).any():
@@ -406,9 +410,9 @@ def _in_a_corner(layer: np.ndarray) -> Any:
 
 @dataclass
 class Seen:
-    """What was seen of a volume that may have the ``fill`` value: how many voxels have it, how many
-    of them lie between others, values ``beside`` these voxels, a sample of all ``others``, and the
-    ``least`` of these.
+    """Counts and samples of a volume that may have the ``fill`` value: the number of voxels that
+    have it, the number of these that lie between others, values ``beside`` these voxels, a sample
+    of all ``others``, and the ``least`` of these.
     """
 
     fill: Any
@@ -419,7 +423,9 @@ class Seen:
     least: float = math.inf
 
     def add(self, slab: np.ndarray) -> bool:
-        """Look at layers (n, ny, nx); False where a value is less, and all is decided."""
+        """Count layers (n, ny, nx); return False if some value is less than the fill value, which
+        is then none.
+        """
         return not (slab < self.fill).any() and all(map(self._add, slab))
 
     def _add(self, layer: np.ndarray) -> bool:
@@ -434,7 +440,7 @@ class Seen:
         return True
 
     def is_fill(self, size: int) -> bool:
-        """Whether the value fills what is outside of a field of view in a volume of ``size``
+        """Return True if the value fills all outside of a field of view in a volume of ``size``
         voxels.
         """
         others = np.concatenate(self.others)
@@ -450,7 +456,7 @@ class Seen:
         return bool(bright >= MIN_SHARE_ABOVE) and self._is_apart(others.astype(np.float64))
 
     def _is_apart(self, others: np.ndarray) -> bool:
-        """Whether the fill value is far below all ``others``, of which there are many."""
+        """Return True if the fill value is far below all ``others``, and these have many values."""
         low, high = np.quantile(others, (TAIL_SHARE, 1.0 - TAIL_SHARE))
         return len(np.unique(others)) >= FEW_VALUES and bool(
             self.least - float(self.fill) >= MIN_FILL_GAP * (high - low)
@@ -458,14 +464,14 @@ class Seen:
 
 
 def _between(inside: np.ndarray) -> np.ndarray:
-    """Where a row has voxels ``inside`` on both sides."""
+    """Mark the voxels of each row that have voxels ``inside`` on both sides."""
     return (
         np.logical_or.accumulate(inside, 1) & np.logical_or.accumulate(inside[:, ::-1], 1)[:, ::-1]
     )
 
 
 def _touching(filled: np.ndarray) -> np.ndarray:
-    """Where one of the four neighbours in a layer is ``filled``."""
+    """Mark the voxels of which one of the four neighbours in a layer is ``filled``."""
     wide = np.pad(filled, 1)
     found: np.ndarray = wide[:-2, 1:-1] | wide[2:, 1:-1] | wide[1:-1, :-2] | wide[1:-1, 2:]
     return found

@@ -1,8 +1,8 @@
 """Plug-ins: readers and writers of other packages, found by their entry points.
 
 A package lists records, `Kind`s of files or `Writer`s, under the groups READER_GROUP and
-WRITER_GROUP. What cannot be loaded is left out, with a sentence that is said if a file has no
-reader.
+WRITER_GROUP. Entries that cannot be loaded are left out; if a file then has no reader or writer,
+the message has a sentence for each of them.
 """
 
 from collections.abc import Iterator
@@ -22,17 +22,18 @@ WRITER_GROUP = "isogi.writers"
 """Groups of entry points."""
 
 LOAD_FAULTS: tuple[type[BaseException], ...] = (Exception, SystemExit)
-"""What modules of other packages may raise when they are loaded."""
+"""Errors of other packages that are caught when their modules are loaded, or their code runs."""
 
 
 @dataclass(frozen=True)
 class Writer:
-    """A kind of files that light is written to, told by the ``suffix`` of a file's name.
+    """A kind of files to which light is written, chosen by the ``suffix`` of a file's name.
 
-    ``encode`` is the function ``module:function`` that takes a `LitMesh`, or a `LitVolume` if
-    ``of_volume`` is set, and returns the bytes of the file. A vertex of a mesh takes about
-    ``vertex_bytes`` of it. The function takes the path too and writes there itself if the kind
-    ``is_folder``.
+    - ``encode``: ``module:function`` of the function that takes a `LitMesh`, or a `LitVolume` if
+      ``of_volume`` is set, and returns the bytes of the file. If ``is_folder`` is set, it takes
+      the path first, and writes the folder itself.
+    - ``vertex_bytes``: about the bytes of the file that a vertex of a mesh takes.
+    - ``package``: the plug-in's package, for messages; empty for isogi's kinds.
     """
 
     suffix: str
@@ -43,12 +44,12 @@ class Writer:
     package: str = ""
 
     def open(self) -> Any:
-        """Load the function."""
-        return named(self.encode)
+        """Load the function ``encode``."""
+        return load_object(self.encode)
 
 
 class Plugin(NamedTuple):
-    """A ``record`` of another ``package``, which lies in a ``folder``."""
+    """A ``record`` of another ``package``, which is installed in a ``folder``."""
 
     package: str
     folder: Path
@@ -56,25 +57,30 @@ class Plugin(NamedTuple):
 
 
 class Plugins(NamedTuple):
-    """Records that were found, and a sentence for each entry that gives none."""
+    """The records that were found, and a sentence on each entry that gave none."""
 
     found: tuple[Plugin, ...]
     faults: tuple[str, ...]
 
 
-def named(place: str, folder: str = "") -> Any:
-    """Load what ``module:name`` names; a module that begins with a dot is in a ``folder``."""
+def load_object(place: str, folder: str = "") -> Any:
+    """Import a module, and return one of its names, as ``place``, ``module:name``, says. A module
+    that begins with a dot is in the package ``folder``.
+    """
     module, _, name = place.partition(":")
     return getattr(import_module(module, folder or None), name)
 
 
 @cache
 def plugins(group: str, record: type) -> Plugins:
-    """Find the records, of one type, of a group of entry points, once for this process."""
+    """Return the records of all packages in a ``group`` of entry points; an entry is a ``record``,
+    or a list of them. Packages are searched once for this process.
+    """
     found: list[Plugin] = []
     faults: list[str] = []
     for entry in sorted(entry_points(group=group), key=lambda each: (package_of(each), each.name)):
         package = package_of(entry)
+        # A package that cannot be loaded must not keep others from their work.
         try:
             loaded = entry.load()
         except LOAD_FAULTS as error:
@@ -90,10 +96,12 @@ def plugins(group: str, record: type) -> Plugins:
 
 
 @contextmanager
-def blamed(package: str, what: str, kind: type[IsogiError]) -> Iterator[None]:
-    """Raise an error of this ``kind``, which names the ``package``, for whatever goes wrong in the
-    code of a plug-in; ``what`` says what cannot be done by it. Errors of isogi pass, and those of a
-    lack of memory, and all of isogi's own code, whose package is empty.
+def blame_plugin(package: str, failed: str, kind: type[IsogiError]) -> Iterator[None]:
+    """Turn errors of a plug-in's code in the block into errors of this ``kind``, which name the
+    ``package``. ``failed`` is the beginning of the message, such as "'f.brick' cannot be read".
+
+    Errors of isogi and lack of memory pass unchanged. If ``package`` is empty, the code is isogi's,
+    and all errors pass.
     """
     try:
         yield
@@ -102,19 +110,21 @@ def blamed(package: str, what: str, kind: type[IsogiError]) -> Iterator[None]:
     except LOAD_FAULTS as error:
         if not package:
             raise
-        raise kind(failure_of(package, what, line_of(error))) from error
+        raise kind(failure_of(package, failed, line_of(error))) from error
 
 
-def failure_of(package: str, what: str, wrong: str) -> str:
-    """Say ``what`` cannot be done by a plug-in, what went ``wrong``, and what to do."""
-    return f"{what} by the plug-in {package} ({wrong}): update that package, or tell its authors."
+def failure_of(package: str, failed: str, wrong: str) -> str:
+    """Return the message that something has ``failed`` in a plug-in, with the reason, ``wrong``,
+    and advice.
+    """
+    return f"{failed} by the plug-in {package} ({wrong}): update that package, or tell its authors."
 
 
 def package_of(entry: EntryPoint) -> str:
-    """Name the package of an entry point as it is installed."""
+    """Return the name of the package of an entry point, by which it was installed."""
     return entry.dist.name if entry.dist is not None else entry.module
 
 
 def fault_of(package: str, wrong: str) -> str:
-    """Say what is wrong with a plug-in, and what to do."""
+    """Return the message of something ``wrong`` with a plug-in, and advice."""
     return f"The plug-in {package} {wrong}: update or remove that package."

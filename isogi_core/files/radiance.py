@@ -22,19 +22,19 @@ _UNITS = np.concatenate([[0.0], np.ldexp(1.0, np.arange(1, 256) - 136)]).astype(
 
 
 def read_hdr(path: Path) -> np.ndarray:
-    """Read linear RGB radiance (h, w, 3) float32, row 0 at the top, EXPOSURE and COLORCORR divided
-    out.
+    """Read a probe as linear RGB radiance (h, w, 3) float32, row 0 at the top. The header's
+    EXPOSURE and COLORCORR are divided out.
 
-    Pixels may be flat, or in old or new run-length coding. Raises LightError where the file is
+    Pixels may be flat, or in old or new run-length coding. Raises LightError if the file is
     missing, not RGBE, not stored from the top left (``-Y h +X w``), or damaged.
     """
     try:
         with open_regular(Path(path)) as file:
             data = file.read(_HEADER_BYTES)
+            # Read the rest only if the file begins as one of RGBE; if not, its beginning is enough
+            # to say so.
             if data.startswith(b"#?"):
                 data += file.read()
-            else:
-                data += b""
     except OSError as error:
         raise LightError(
             f"The light '{path}' cannot be read ({reason_of(error)}): check its path."
@@ -43,7 +43,7 @@ def read_hdr(path: Path) -> np.ndarray:
 
 
 def parse_hdr(data: bytes, path: str, most: int = MAX_PIXELS) -> np.ndarray:
-    """The picture in the bytes of a file called ``path``, of ``most`` pixels at most; see
+    """Return the picture in the bytes of a file called ``path``, of ``most`` pixels at most; see
     ``read_hdr``.
     """
     height, width, gain, start = _read_header(path, data, most)
@@ -66,8 +66,7 @@ def parse_hdr(data: bytes, path: str, most: int = MAX_PIXELS) -> np.ndarray:
 
 def write_hdr(path: Path, rgb: np.ndarray) -> None:
     """Write linear RGB (h, w, 3) as flat RGBE: 8 bits relative to each pixel's largest channel.
-
-    Raises LightError where a value is negative, not finite or beyond 2^127, which RGBE cannot hold.
+    Raises LightError if a value is negative, not finite or beyond 2^127, which RGBE cannot hold.
     """
     values = np.asarray(rgb, np.float64)
     if not (np.isfinite(values).all() and values.min() >= 0.0 and values.max() < 2.0**126.99):
@@ -80,8 +79,8 @@ def write_hdr(path: Path, rgb: np.ndarray) -> None:
 
 
 def encode_rgbe(values: np.ndarray) -> bytes:
-    """RGBE quads of values (h, w, 3) float64 that the format can hold; the largest mantissa is 128
-    to 255 or 0.
+    """Return RGBE quads of values (h, w, 3) float64 that the format can hold; the largest mantissa
+    is 128 to 255 or 0.
     """
     fraction, exponent = np.frexp(values.max(axis=-1))
     exponent += np.rint(fraction * 256.0) == 256.0
@@ -119,8 +118,8 @@ def _read_header(path: str, data: bytes, most: int) -> tuple[int, int, np.ndarra
 
 
 def _gain(path: str, header: bytes) -> np.ndarray:
-    """The product of all EXPOSURE and COLORCORR lines, (3,) float32. LightError for formats other
-    than RGBE.
+    """Return the product of all EXPOSURE and COLORCORR lines, (3,) float32. Raises LightError for
+    formats other than RGBE.
     """
     gain = np.ones(3)
     for line in header.decode("latin-1").splitlines():
@@ -133,7 +132,7 @@ def _gain(path: str, header: bytes) -> np.ndarray:
 
 
 def _positive_numbers(path: str, line: str, count: int) -> list[float]:
-    """``count`` positive finite numbers after the equals sign of a header line."""
+    """Return ``count`` positive finite numbers after the equals sign of a header line."""
     try:
         numbers = [float(word) for word in line.partition("=")[2].split()]
     except ValueError:
@@ -180,8 +179,8 @@ def _decode_runs(body: bytes, at: int, size: int) -> tuple[bytearray, int]:
 def _decode_quads(body: bytes, at: int, count: int) -> np.ndarray:
     """Decode, from a byte on, flat pixels and old run-length coding; (count, 4) uint8.
 
-    A quad (1, 1, 1, n) repeats the pixel before it n times; where several follow each other, each
-    next n counts 256 times as much as the one before.
+    A quad (1, 1, 1, n) repeats the pixel before it n times. If several follow each other, each next
+    n counts 256 times as much as the one before.
     """
     quads = np.frombuffer(body, np.uint8, (len(body) - at) // 4 * 4, at).reshape(-1, 4)
     runs = (quads[:, :3] == 1).all(axis=1)

@@ -1,8 +1,8 @@
-"""Scene files: the parsed document, changes of it that views may ask for, and its settings, each
-checked when read.
+"""Scene files: the parsed document, changes to it that views may ask for, and its settings, each
+checked when it is read.
 
-Parameters of views spell changes: what pinned surfaces let pass, which labels are hidden, what the
-surface is made of.
+Parameters of views spell such changes: the shares of rays that pass pinned surfaces, hidden labels,
+and the material of the surface.
 """
 
 import sys
@@ -29,7 +29,7 @@ def change_document(
     hide: str | None = None,
     material: str | None = None,
 ) -> Mapping[str, Any]:
-    """A scene's ``document`` with the changes that are spelled, and without those of None. Raises
+    """Return a scene's ``document`` with the changes that are spelled; None changes nothing. Raises
     SceneError.
     """
     if surfaces is not None:
@@ -43,7 +43,7 @@ def change_document(
 
 
 def tables_in(document: Mapping[str, Any], key: str) -> list[Mapping[str, Any]]:
-    """The tables that a ``document`` lists under a ``key``; other values are left out."""
+    """Return the tables that a ``document`` lists under a ``key``; other values are left out."""
     given = document.get(key)
     if isinstance(given, list):
         return [each for each in given if isinstance(each, Mapping)]
@@ -58,10 +58,8 @@ Clears = tuple[float | None, ...]
 
 
 def read_clears(text: str, pinned: int) -> Clears:
-    """The shares of rays that pass so many ``pinned`` surfaces, as ``0.4,off`` spells them; None of
-    hidden ones.
-
-    Raises SceneError.
+    """Return the shares of rays that pass each of ``pinned`` surfaces, as ``0.4,off`` spells them;
+    None for hidden ones. Raises SceneError.
     """
     try:
         found = tuple(
@@ -86,8 +84,8 @@ def read_clears(text: str, pinned: int) -> Clears:
 def put_clears(
     document: Mapping[str, Any], pinned: Sequence[Mapping[str, Any]], clears: Clears
 ) -> dict[str, Any]:
-    """A scene's ``document`` whose ``pinned`` surfaces, tables, pass other shares of rays; None
-    leaves one out.
+    """Return a scene's ``document`` in which the tables of the ``pinned`` surfaces have other
+    shares of rays that pass; None leaves a surface out.
     """
     kept = [
         {**table, "clear": clear}
@@ -106,8 +104,8 @@ Hidden = tuple[int, ...]
 
 
 def read_hidden(text: str) -> Hidden:
-    """The labels that are hidden, as ``3,4`` spells them by their values, or ``none``. Raises
-    SceneError.
+    """Return the labels that are hidden, as ``3,4`` spells them by their values, or ``none``.
+    Raises SceneError.
     """
     try:
         if text.strip() == NO_LABEL:
@@ -119,8 +117,8 @@ def read_hidden(text: str) -> Hidden:
 
 
 def put_hidden(document: Mapping[str, Any], hidden: Hidden) -> dict[str, Any]:
-    """A scene's ``document`` with these labels ``hidden``, and no others. SceneError where it has
-    no labels.
+    """Return a scene's ``document`` with these labels ``hidden``, and no others. Raises SceneError
+    if it has no labels.
     """
     if not document.get("labels"):
         raise SceneError("hide is for scenes of labels: leave it out.")
@@ -132,22 +130,22 @@ def put_hidden(document: Mapping[str, Any], hidden: Hidden) -> dict[str, Any]:
 
 
 MaterialSettings = Mapping[str, Any]
-"""The settings of a scene that say what its surface is made of: its material, and such numbers of
-it as are given.
+"""The settings of a scene for the material of its surface: its name, and those of its numbers that
+are given.
 """
 
 MATERIAL_NUMBERS = {"index": "glass", "absorption": "glass", "mean_free_path": "subsurface"}
 """Settings that are numbers of a material, and of which."""
 
 REFLECTION_SETTINGS = {"glass": ("albedo", "albedos"), "subsurface": ("albedos",)}
-"""Settings of how a surface reflects; they stay behind where a view asks for one of these
-materials, without them.
+"""Settings of reflection at a surface. They are dropped if a view asks for one of these materials,
+which have none.
 """
 
 
 def read_material_text(text: str) -> MaterialSettings:
-    """The settings of a material, as ``glass,index=1.3,absorption=0.1,0.2,0.3`` spells them. Raises
-    SceneError.
+    """Return the settings of a material, as ``glass,index=1.3,absorption=0.1,0.2,0.3`` spells them.
+    Raises SceneError.
     """
     kind, *rest = (each.strip() for each in text.split(","))
     found: dict[str, list[float]] = {}
@@ -178,7 +176,9 @@ def read_material_text(text: str) -> MaterialSettings:
 
 
 def write_material_text(settings: MaterialSettings) -> str:
-    """The text that ``read_material_text`` reads so; equal settings have the same."""
+    """Return the text that ``read_material_text`` reads as these ``settings``; equal settings have
+    the same text.
+    """
     given = {name: settings[name] for name in MATERIAL_NUMBERS if name in settings}
     listed = {
         name: value if isinstance(value, list | tuple) else [value] for name, value in given.items()
@@ -188,13 +188,13 @@ def write_material_text(settings: MaterialSettings) -> str:
 
 
 def _text_of(number: float) -> str:
-    """A number without a plus, which addresses read as a blank."""
+    """Return a number without a plus, which addresses read as a blank."""
     return repr(float(number)).replace("+", "")
 
 
 def put_material(document: Mapping[str, Any], settings: MaterialSettings) -> dict[str, Any]:
-    """A scene's ``document`` with another material; with the same one, numbers that are not given
-    stay.
+    """Return a scene's ``document`` with another material; with the same one, numbers that are not
+    given stay.
     """
     kind = settings["material"]
     if document.get("material", "diffuse") == kind:
@@ -217,7 +217,7 @@ class SceneSource:
     """A scene's document: enough for another process to build the same scene.
 
     ``document`` is the parsed TOML; paths in it are relative to the folder ``base``. ``found`` is
-    whether isogi chose its isovalue, and a second surface with it: see ``with_start``.
+    True if isogi chose its isovalue, and a second surface with it: see ``with_start``.
     """
 
     name: str
@@ -241,7 +241,7 @@ def find_source(target: Target, overrides: Mapping[str, Any]) -> SceneSource:
 
 
 def source_at(text: str, overrides: Mapping[str, Any]) -> SceneSource:
-    """The source of a target that has no settings after its #."""
+    """Return the source of a target that has no settings after its #."""
     if text.startswith("demo:"):
         return SceneSource(text.removeprefix("demo:"), {"volume": text, **overrides}, Path.cwd())
     if "://" in text:
@@ -329,7 +329,9 @@ def as_written(document: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def split_name(text: str) -> tuple[str, str, str]:
-    """A volume's name, the # after it, and what that chooses; a file may have a # in its name."""
+    """Return a volume's name, the # after it, and the choice that follows; a file may have a # in
+    its name.
+    """
     name, mark, part = text.rpartition("#")
     if not mark or not name or "://" in text or Path(text).exists():
         return text, "", ""
@@ -350,8 +352,10 @@ MOST_BITS = 1024
 
 
 def check_values(value: Any, key: str = "The document") -> None:
-    """Raise SceneError, which names the ``key``, for a text, a number or a list in a scene that
-    nothing can be.
+    """Raise SceneError, which names the ``key``, if a text, a number or a list in a scene is longer
+    than any setting can be, or if a text has a null character.
+
+    It looks into tables and lists. Whatever is read later may rely on these limits.
     """
     if isinstance(value, str) and (len(value) > MOST_TEXT or "\0" in value):
         raise SceneError(
@@ -375,10 +379,9 @@ def check_values(value: Any, key: str = "The document") -> None:
 
 
 def labels_as_volume(document: Mapping[str, Any], name: str) -> Mapping[str, Any]:
-    """A scene's ``document``; a table [[volumes]] with use = "labels" names its volume, all labels
-    of which are shown.
-
-    SceneError where there are more volumes than one then.
+    """Return a scene's ``document``. If it has no volume, but a table [[volumes]] with use =
+    "labels", that table names the volume, and all its labels are shown. Raises SceneError if there
+    are more volumes then.
     """
     listed = tables_in(document, "volumes")
     found = [each for each in listed if each.get("use") == "labels"]
@@ -402,9 +405,9 @@ LYING = (
     *("periodic", "repeat"),
     *CHANGING_PARAMETERS,
 )
-"""Settings that may follow the # of a target: how its volume lies and how far its voxels are apart,
-which side of the isovalue is solid, how far it is smoothed, whether its values are labels, its
-light, what is cut away, if and how often it repeats, and what changes it as views do.
+"""Settings that may follow the # of a target: the place of its volume and the distances of its
+voxels, the solid side of the isovalue, smoothing, labels, light, cuts, repetition, and changes as
+views make them.
 """
 
 NUMBERS_LYING = ("smooth", "pieces")
@@ -415,7 +418,7 @@ LISTS_LYING = ("periodic", "repeat", "spacing")
 
 
 def split_settings(target: str) -> tuple[str, dict[str, Any]]:
-    """A target without what follows its # about LYING, and that as settings."""
+    """Return a target without the settings of LYING that follow its #, and these settings."""
     place, mark, part = target.rpartition("#")
     if not mark or Path(target).exists():
         return target, {}
@@ -449,7 +452,7 @@ MAX_DIGITS = 10
 """Digits of a whole number in a list of a target, fewer than."""
 
 PART_SETTINGS = ("level", "channel", "time", "series", "raw", "region")
-"""Settings of a scene that choose a part of its volume's file, or say what it holds."""
+"""Settings of a scene that choose a part of its volume's file, or describe the file."""
 
 VOXEL_SETTINGS = (
     "cut",
@@ -469,8 +472,8 @@ VOXEL_SETTINGS = (
 
 
 def is_zarr(path: Path) -> bool:
-    """Whether a volume at ``path`` is read as Zarr: a folder that is one, or a path inside one that
-    ends in .zarr.
+    """Return True if a volume at ``path`` is read as Zarr: a folder that is one, or a path inside
+    one that ends in .zarr.
     """
     if path.is_dir() and any((path / name).is_file() for name in ZARR_METADATA):
         return True
@@ -478,8 +481,8 @@ def is_zarr(path: Path) -> bool:
 
 
 def name_of(path: Path) -> str:
-    """Display name of the volume at ``path``: the file's name, and the part that is chosen of a
-    Zarr hierarchy.
+    """Return the display name of the volume at ``path``: the file's name, and the part that is
+    chosen of a Zarr hierarchy.
     """
     whole = next((each for each in path.parents if each.suffix == ".zarr"), path)
     if whole.suffix == ".gz":
@@ -502,7 +505,7 @@ FORMER: Mapping[str, str] = {
         "baked light stays good."
     ),
 }
-"""Former keys of scenes, each with the end of the sentence that refuses it: what to do now."""
+"""Former keys of scenes, each with the advice that ends the sentence which refuses it."""
 
 
 LEAST_TARGET = 1e-4
@@ -528,19 +531,21 @@ class Settings:
         return SceneError(f"{key} = {given} in the scene '{self.source.name}' is not {wanted}.")
 
     def _read(self, key: str, fits: Callable[[Any], bool], wanted: str) -> Any:
-        """A value that ``fits`` what is ``wanted``, or None where it is left out."""
+        """Return a value, or None if it is left out. Raises SceneError, which says what is
+        ``wanted``, if it does not fit.
+        """
         value = self._get(key)
         if value is not None and not fits(value):
             raise self._wrong(key, wanted)
         return value
 
     def text(self, key: str, fallback: str) -> str:
-        """A string."""
+        """Return a string."""
         value: str | None = self._read(key, lambda value: isinstance(value, str), "a string")
         return fallback if value is None else value
 
     def choice(self, key: str, among: Sequence[Word]) -> Word | None:
-        """One of some words or numbers, or None where the scene leaves it to the plan."""
+        """Return one of some words or numbers, or None if the scene leaves it to the plan."""
         value = self._read(
             key, lambda value: value in among, f"one of {', '.join(map(str, among))}"
         )
@@ -549,12 +554,12 @@ class Settings:
         return among[among.index(value)]
 
     def flag(self, key: str, fallback: Fallback) -> bool | Fallback:
-        """True or false."""
+        """Return True or False."""
         value: bool | None = self._read(key, lambda value: isinstance(value, bool), "true or false")
         return fallback if value is None else value
 
     def number(self, key: str, fallback: float, low: float, high: float) -> float:
-        """A number in [low, high]."""
+        """Return a number in [low, high]."""
         wanted = f"a number from {shortest(low)} to {shortest(high)}"
         value = self._read(key, lambda value: is_number(value) and low <= value <= high, wanted)
         return float(fallback if value is None else value)
@@ -565,7 +570,7 @@ class Settings:
         return self.number("target_error", 0.02, LEAST_TARGET, 1.0)
 
     def count(self, key: str, high: int, low: int = 0) -> int | None:
-        """A whole number in [low, high], or None where the scene leaves it to the plan."""
+        """Return a whole number in [low, high], or None if the scene leaves it to the plan."""
         wanted = f"a whole number from {low} to {high}"
         value: int | None = self._read(
             key, lambda value: type(value) is int and low <= value <= high, wanted
@@ -573,7 +578,7 @@ class Settings:
         return value
 
     def numbers(self, key: str, length: int) -> tuple[float, ...] | None:
-        """A list of ``length`` finite numbers, or None."""
+        """Return a list of ``length`` finite numbers, or None."""
         value = self._read(
             key, lambda value: are_numbers(value, length), f"a list of {length} numbers"
         )
@@ -582,7 +587,7 @@ class Settings:
         return tuple(map(float, value))
 
     def flags(self, key: str, length: int) -> tuple[bool, ...] | None:
-        """A list of ``length`` times true or false, or None."""
+        """Return a list of ``length`` times true or false, or None."""
         value = self._read(
             key,
             lambda value: _is_list(value, length) and all(isinstance(each, bool) for each in value),
@@ -591,7 +596,7 @@ class Settings:
         return None if value is None else tuple(value)
 
     def counts(self, key: str, length: int, high: int) -> tuple[int, ...] | None:
-        """A list of ``length`` whole numbers from 1 to ``high``, or None."""
+        """Return a list of ``length`` whole numbers from 1 to ``high``, or None."""
         value = self._read(
             key,
             lambda value: (
@@ -603,7 +608,7 @@ class Settings:
         return None if value is None else tuple(value)
 
     def spans(self, key: str, length: int) -> tuple[tuple[int, int], ...] | None:
-        """A list of ``length`` pairs of ascending whole numbers from 0 on, or None."""
+        """Return a list of ``length`` pairs of ascending whole numbers from 0 on, or None."""
         wanted = f"a list of {length} pairs of ascending whole numbers from 0 on, such as [0, 64]"
         value = self._read(
             key, lambda value: _is_list(value, length) and all(map(is_span, value)), wanted
@@ -613,8 +618,8 @@ class Settings:
         return tuple((low, high) for low, high in value)
 
     def listed(self, key: str) -> tuple[float, ...]:
-        """A number or a list of numbers, as written (integers stay integers); empty where it is
-        left out.
+        """Return a number or a list of numbers as a tuple, as written (integers stay integers);
+        empty if it is left out.
         """
         value = self._get(key)
         if value is None:
@@ -630,7 +635,7 @@ class Settings:
     def interval(
         self, key: str, within: tuple[float, float], fallback: tuple[float, float]
     ) -> tuple[float, float]:
-        """Two ascending numbers inside ``within``."""
+        """Return two ascending numbers inside ``within``."""
         value = self.numbers(key, 2) or fallback
         if not within[0] <= value[0] <= value[1] <= within[1]:
             raise self._wrong(
@@ -641,7 +646,7 @@ class Settings:
         return value[0], value[1]
 
     def span(self, key: str, low: float, high: float) -> tuple[float, float] | None:
-        """Two numbers in [low, high], the second above the first, or None."""
+        """Return two numbers in [low, high], the second above the first, or None."""
         value = self.numbers(key, 2)
         if value is not None and not low <= value[0] < value[1] <= high:
             raise self._wrong(
@@ -652,7 +657,7 @@ class Settings:
         return (value[0], value[1])
 
     def colour(self, key: str, fallback: float) -> tuple[float, float, float]:
-        """A number or [r, g, b], each in [0, 1]."""
+        """Return a number or [r, g, b], each in [0, 1], as three numbers."""
         value = self._get(key)
         if value is None:
             value = fallback
@@ -662,13 +667,13 @@ class Settings:
         return triple(listed)
 
     def lights(self, others: Sequence[Any] = ()) -> list[Mapping[str, Any]]:
-        """The [[lights]] tables; a sky with a sun where the scene has none, nor any ``others`` that
-        are lights.
+        """Return the [[lights]] tables; a sky with a sun if the scene has none, nor any ``others``
+        that are lights.
         """
         return self.tables("lights") or ([] if others else [{"type": "sky"}])
 
     def tables(self, key: str, most: int | None = None) -> list[Mapping[str, Any]]:
-        """The tables of a list, ``most`` at most; none where it is left out."""
+        """Return the tables of a list, ``most`` at most; none if it is left out."""
         value = self._get(key)
         if value is None:
             return []
@@ -683,22 +688,22 @@ class Settings:
         return value
 
     def nested(self, key: str, most: int | None = None) -> "list[Settings]":
-        """The ``tables`` of a list, each as settings to be read."""
+        """Return the ``tables`` of a list, each as settings to be read."""
         name = f"{self.source.name}: [[{key}]]"
         return [
             Settings(SceneSource(name, table, self.source.base)) for table in self.tables(key, most)
         ]
 
     def table(self, key: str) -> Mapping[str, Any] | None:
-        """A table, or None where it is left out."""
+        """Return a table, or None if it is left out."""
         value: Mapping[str, Any] | None = self._read(
             key, lambda value: isinstance(value, Mapping), f"a table [{key}]"
         )
         return value
 
     def refuse_unknown(self) -> None:
-        """Raise SceneError for settings that nothing has read, such as a typing error. Former ones
-        say what to do.
+        """Raise SceneError for settings that were not read, such as typing errors. For former ones
+        it says what to do.
         """
         unknown = sorted(set(self.source.document) - self.known)
         for key in unknown:
@@ -710,14 +715,14 @@ class Settings:
 
 
 def is_span(value: Any) -> bool:
-    """Whether ``value`` is a pair of ascending whole numbers from 0 on."""
+    """Return True if ``value`` is a pair of ascending whole numbers from 0 on."""
     return (
         _is_list(value, 2) and all(type(each) is int for each in value) and 0 <= value[0] < value[1]
     )
 
 
 def is_number(value: Any) -> bool:
-    """Whether ``value`` is a finite real number (and not a bool) that floats hold."""
+    """Return True if ``value`` is a finite real number (and not a bool) that floats hold."""
     return (
         isinstance(value, int | float)
         and not isinstance(value, bool)
@@ -726,19 +731,19 @@ def is_number(value: Any) -> bool:
 
 
 TableReaders = Mapping[str, Callable[[str, Any], Any]]
-"""How the values of a table are read, by their keys: from what a message calls the value, and the
-value.
+"""Functions that read the values of a table, by their keys: from the name of the value in messages,
+and the value.
 """
 
 
 def read_table(
     table: Mapping[str, Any], what: str, readers: TableReaders, needed: Iterable[str] = ()
 ) -> dict[str, Any]:
-    """The values of a scene's ``table`` by its keys; messages call it ``what`` it describes, such
-    as "A wall".
+    """Return the values of a scene's ``table`` by its keys. Messages name the table by ``what``,
+    such as "A wall".
 
-    SceneError where a key is unknown, one that is ``needed`` is missing, or a value is of the wrong
-    kind.
+    Raises SceneError if a key is unknown, one that is ``needed`` is missing, or a value is of the
+    wrong kind.
     """
     unknown = next((key for key in table if key not in readers), None)
     if unknown is not None:
@@ -750,14 +755,14 @@ def read_table(
 
 
 def read_number(name: str, value: Any) -> float:
-    """A number that floats hold."""
+    """Return a number that floats hold. Raises SceneError."""
     if not is_number(value):
         raise SceneError(f"{name} is {in_short(value)}: give a number.")
     return float(value)
 
 
 def read_colour(name: str, value: Any) -> Vector:
-    """A number for all three channels, or ``[r, g, b]``."""
+    """Return a number for all three channels, or ``[r, g, b]``. Raises SceneError."""
     given = [value] * 3 if is_number(value) else value
     if not are_numbers(given, 3):
         raise SceneError(f"{name} is {in_short(value)}: give a number or [r, g, b].")
@@ -765,21 +770,21 @@ def read_colour(name: str, value: Any) -> Vector:
 
 
 def read_vector(name: str, value: Any) -> Vector:
-    """``[x, y, z]``."""
+    """Return ``[x, y, z]``. Raises SceneError."""
     if not are_numbers(value, 3):
         raise SceneError(f"{name} is {in_short(value)}: give [x, y, z].")
     return triple(value)
 
 
 def read_name(name: str, value: Any) -> str:
-    """The name of a file."""
+    """Return the name of a file. Raises SceneError."""
     if not isinstance(value, str) or not value:
         raise SceneError(f"{name} is {in_short(value)}: give the file by its name.")
     return value
 
 
 def are_numbers(value: Any, count: int) -> bool:
-    """Whether ``value`` is a list of so many numbers."""
+    """Return True if ``value`` is a list of ``count`` numbers."""
     return _is_list(value, count) and all(map(is_number, value))
 
 

@@ -1,4 +1,4 @@
-"""Vectors: three numbers, of what has no arrays."""
+"""Vectors of three numbers, for data without arrays."""
 
 from collections.abc import Iterable
 
@@ -6,6 +6,6 @@ Vector = tuple[float, float, float]
 
 
 def triple(row: Iterable[float]) -> Vector:
-    """Three numbers as floats."""
+    """Return three numbers as floats."""
     x, y, z = (float(value) for value in row)
     return x, y, z

@@ -32,9 +32,7 @@ Shape = tuple[int, ...]
 @contextmanager
 def new_voxels(path: Path) -> Iterator["Draft"]:
     """Write the file ``path`` by a draft; after the block the file is whole, and safe from a loss
-    of power.
-
-    The draft's name ends in ``.partial``; it is deleted where the block fails.
+    of power. The draft's name ends in ``.partial``; it is deleted if the block fails.
     """
     partial = path.with_suffix(PARTIAL_SUFFIX)
     try:
@@ -77,7 +75,7 @@ class Draft:
 
 
 def read_voxels(path: Path) -> tuple[np.ndarray, dict[str, Any]] | None:
-    """Map the voxels of a file, and read its facts; None where it is missing or damaged.
+    """Map the voxels of a file, and read its facts; return None if it is missing or damaged.
 
     Damage of the header and a wrong size are detected. Do not write to the array: that would take
     memory of this process.
@@ -109,7 +107,7 @@ def _read_header(header: bytes) -> tuple[Shape, dict[str, Any]] | None:
 
 
 def _tuples(value: Any) -> Any:
-    """JSON lists as tuples."""
+    """Return JSON lists as tuples."""
     if isinstance(value, list):
         return tuple(value)
     return value
@@ -125,8 +123,8 @@ Copy = tuple[np.ndarray, dict[str, Any]]
 
 
 def copies_folder() -> Path:
-    """The folder of copies: ``$ISOGI_VOLUME_CACHE``, or ``isogi/volumes`` in the user's cache
-    folder.
+    """Return the folder of copies: ``$ISOGI_VOLUME_CACHE``, or ``isogi/volumes`` in the user's
+    cache folder.
     """
     given = os.environ.get("ISOGI_VOLUME_CACHE")
     if given:
@@ -135,7 +133,9 @@ def copies_folder() -> Path:
 
 
 def most_bytes() -> int:
-    """Most bytes of copies; VolumeError where the environment variable is no number."""
+    """Return the most bytes that copies may take. Raises VolumeError if the environment variable is
+    no number.
+    """
     given = os.environ.get("ISOGI_VOLUME_CACHE_MB") or str(MAX_COPIES_MB)
     if not given.isdecimal():
         raise VolumeError(f"ISOGI_VOLUME_CACHE_MB is '{given}': give a whole number of megabytes.")
@@ -143,7 +143,7 @@ def most_bytes() -> int:
 
 
 def find_copy(key: str) -> Copy | None:
-    """Open a copy; None where there is none."""
+    """Open a copy; return None if there is none."""
     path = copies_folder() / f"{key}{COPY_SUFFIX}"
     found = read_voxels(path)
     if found is not None:
@@ -153,11 +153,11 @@ def find_copy(key: str) -> Copy | None:
 
 
 def get_copy(key: str, size: int, make: Callable[[Draft], dict[str, Any]]) -> Copy:
-    """Open the copy of a volume of ``size`` bytes; where there is none, ``make`` writes it and
-    returns its facts.
+    """Open the copy of a volume of ``size`` bytes. If there is none, ``make`` writes it and returns
+    its facts, in one of all processes and threads that ask.
 
-    One of all processes and threads makes it. It is found by the volume's own digest too. Raises
-    VolumeError where the folder has no room or cannot be written, and what ``make`` raises.
+    It is found by the volume's digest, too. Raises VolumeError if the folder has no room or cannot
+    be written, and the errors of ``make``.
     """
     folder = copies_folder()
     with _write_errors(folder), locked(folder / f"{key}.lock"):
@@ -174,10 +174,9 @@ def get_copy(key: str, size: int, make: Callable[[Draft], dict[str, Any]]) -> Co
 
 
 def get_file(key: str, name: str, fetch: Callable[[], bytes]) -> Path:
-    """The path, ending in ``name``, of the copy of a small file; where there is none, ``fetch``
-    gives its bytes.
-
-    Raises VolumeError where the folder cannot be written, and what ``fetch`` raises.
+    """Return the path, ending in ``name``, of the copy of a small file; if there is none, ``fetch``
+    returns its bytes. Raises VolumeError if the folder cannot be written, and the errors of
+    ``fetch``.
     """
     path = copies_folder() / key / name
     if not path.exists():
@@ -191,11 +190,11 @@ def get_file(key: str, name: str, fetch: Callable[[], bytes]) -> Path:
 
 
 def get_survey(key: str, name: str, measure: Callable[[], np.ndarray]) -> np.ndarray:
-    """What was measured of all voxels of a volume, by ``measure`` once, and then read from a file
-    of that ``name``.
+    """Return numbers that ``measure`` found in all voxels of a volume: it is called once, and its
+    result is read from a file of that ``name`` from then on. ``key`` is the volume's digest.
 
-    The ``key`` is the volume's own digest. Processes that ask at the same time may each measure it.
-    Where there is no file, and none can be written, it is measured again.
+    Processes that ask at the same time may each measure. If the file cannot be written, the next
+    call measures again.
     """
     path = copies_folder() / key / f"{name}.npy"
     with suppress(OSError, ValueError, EOFError):  # none, or a damaged one
@@ -211,15 +210,15 @@ def get_survey(key: str, name: str, measure: Callable[[], np.ndarray]) -> np.nda
 
 
 def get_scratch(count: int, dtype: Any) -> np.ndarray:
-    """An array of ``count`` numbers, of any values, that lies in a file of the folder for as long
-    as it is there.
+    """Return an array of ``count`` numbers, of any values, mapped to a file of the folder that is
+    deleted with the array.
     """
     return scratch(copies_folder(), count, dtype)
 
 
 @contextmanager
 def _write_errors(folder: Path) -> Iterator[None]:
-    """Raise VolumeError where a copy cannot be written."""
+    """Raise VolumeError if a copy cannot be written."""
     try:
         yield
     except OSError as error:
@@ -242,8 +241,8 @@ def _make_room(folder: Path, size: int) -> None:
     """Delete half-made copies, and then the copies used longest ago until one of ``size`` bytes
     more fits.
 
-    A copy that a process has mapped stays readable for it. Raises VolumeError where the disk still
-    has no room.
+    A copy that a process has mapped stays readable for it. Raises VolumeError if the disk still has
+    no room.
     """
     for partial in folder.glob("*.partial"):
         with suppress(OSError), locked(partial.with_suffix(".lock"), wait=False) as ours:
@@ -267,7 +266,7 @@ def _make_room(folder: Path, size: int) -> None:
 
 
 def _copies(folder: Path) -> list[tuple[os.stat_result, list[Path]]]:
-    """The copies with all of their names, those used longest ago first."""
+    """Return the copies with all of their names, those used longest ago first."""
     found: dict[int, tuple[os.stat_result, list[Path]]] = {}
     for path in (*folder.glob(f"*{COPY_SUFFIX}"), *folder.glob("*/*")):
         with suppress(FileNotFoundError):

@@ -21,7 +21,7 @@ OTHER_NAMES = {"time": "t", "channel": "c"}
 NOT_IN_SPACE = ("t", "c")
 
 Open = Callable[[str], Any]
-"""Opens what is at a path of the hierarchy. Raises VolumeError if there is nothing."""
+"""Opens the array or group at a path of the hierarchy. Raises VolumeError if there is none."""
 
 Held = tuple[dict[str, Any], Any]
 """Attributes and array of an axis's coordinates; none and None if there are no coordinates."""
@@ -51,7 +51,7 @@ def named_axes(
 
 
 def is_in_space(array: "zarr.Array[Any]", open_at: Open) -> bool:
-    """Tell whether dimensions of an array are x, y and z by their names or coordinates."""
+    """Return True if dimensions of an array are x, y and z by their names or coordinates."""
     return set(SPACE_AXES) <= set(_roles(array, open_at)[0])
 
 
@@ -108,7 +108,7 @@ def _coordinates(array: "zarr.Array[Any]", name: str, open_at: Open) -> Held:
 
 
 def _names(array: "zarr.Array[Any]") -> tuple[str, ...]:
-    """Names of the dimensions, where all are known ones; empty otherwise."""
+    """Return the names of the dimensions if all are known ones; else empty."""
     given = _given_names(array)
     names = [OTHER_NAMES.get(str(name).lower(), str(name).lower()) for name in given]
     spatial = [n for n, name in enumerate(names) if name not in NOT_IN_SPACE]

@@ -1,5 +1,5 @@
-"""Zarr volumes: arrays of Zarr v2 and v3, bare or in an OME-Zarr image, where they lie, read chunk
-by chunk.
+"""Zarr volumes: arrays of Zarr v2 and v3, bare or in an OME-Zarr image, read chunk by chunk from
+the place where they are stored.
 """
 
 import hashlib
@@ -67,10 +67,8 @@ class Hierarchy:
 
 
 def hierarchy_at(location: Path | str) -> Hierarchy:
-    """The hierarchy that contains a folder or a URL.
-
-    Raises VolumeError where there is none, for links out of the folder, and for URLs that hold a
-    secret.
+    """Return the hierarchy that contains a folder or a URL. Raises VolumeError if there is none,
+    for links out of the folder, and for URLs that hold a secret.
     """
     if isinstance(location, str):
         return _remote(location)
@@ -83,7 +81,7 @@ def hierarchy_at(location: Path | str) -> Hierarchy:
 
 
 def root_of(path: Path) -> Path:
-    """The outermost folder of the Zarr hierarchy that contains ``path``."""
+    """Return the outermost folder of the Zarr hierarchy that contains ``path``."""
     if not path.is_dir():
         raise VolumeError(f"There is no Zarr array '{path}': check the volume's path.")
     if not _is_zarr(path):
@@ -100,7 +98,7 @@ def _is_zarr(folder: Path) -> bool:
 
 
 def check_links(root: Path) -> None:
-    """Raise VolumeError where something below ``root`` is a link out of it."""
+    """Raise VolumeError if something below ``root`` is a link out of it."""
     real = root.resolve()
     for folder, folders, files in os.walk(root):
         for name in (*folders, *files):
@@ -112,7 +110,7 @@ def check_links(root: Path) -> None:
 
 
 def _remote(url: str) -> Hierarchy:
-    """The hierarchy at a URL; the part up to ``.zarr`` is its root, where there is one."""
+    """Return the hierarchy at a URL; the part up to ``.zarr`` is its root, if there is one."""
     scheme = url.partition("://")[0].lower()
     if scheme not in BUCKET_SCHEMES or SECRET_PARTS.search(url):
         known = "it must begin with s3://, gs://, az:// or https:// and hold no password or key"
@@ -149,15 +147,15 @@ def _remote(url: str) -> Hierarchy:
 
 
 def _stamp_of_folder(root: Path) -> str:
-    """Digest (hex) of all files below ``root``."""
+    """Return a digest (hex) of all files below ``root``."""
     return stamp_of(
         sorted(Path(folder) / name for folder, _, names in os.walk(root) for name in names)
     )
 
 
 def _stamp_of_objects(root: str, store: Any) -> str:
-    """Digest (hex) of all objects at a URL; of the metadata alone where they cannot be listed, as
-    over plain HTTP.
+    """Return a digest (hex) of all objects at a URL; of the metadata alone if they cannot be
+    listed, as over plain HTTP.
     """
     import obstore  # noqa: PLC0415 (an extra)
 
@@ -172,7 +170,7 @@ def _stamp_of_objects(root: str, store: Any) -> str:
 
 
 def _head(store: Any, name: str) -> Any:
-    """The store's metadata of an object; None where there is none."""
+    """Return the store's metadata of an object; None if there is none."""
     import obstore  # noqa: PLC0415 (an extra)
 
     try:
@@ -206,10 +204,10 @@ CHOSEN_AXES = {"t": "time", "c": "channel"}
 
 @dataclass(frozen=True, eq=False)
 class FoundArray:
-    """An ``array`` of a hierarchy, with its axes. ``given`` is what its image says of it, None
-    where there is none.
+    """An ``array`` of a hierarchy, with its axes.
 
-    ``notes`` say why it was chosen; ``labels`` are those of an image of labels, and ``levels`` its
+    ``given`` is the resolution by which its image describes it, None if it has no image. ``notes``
+    say why it was chosen; ``labels`` are those of an image of labels, and ``levels`` its
     resolutions. ``scales`` are coordinates along x, y, z, of an array that no image describes.
     """
 
@@ -235,11 +233,12 @@ def open_zarr(
 
     ``path``, a folder or a URL, is the array or the image, or an array inside one
     (``brain.zarr/2``). ``level`` 0 is the finest resolution; the default is the finest that memory
-    and pictures have room for. ``channel`` and ``time`` choose along these axes, and of a
-    ``region`` no other chunks are read. Spacing is the scale of the image, in the unit of x, else
-    1. Raises VolumeError where there is no such array, where it has other axes of more than one
-    element or its codecs are not to be had, and for links that lead out of the folder; the slabs do
-    where chunks are damaged.
+    and pictures have room for. ``channel`` and ``time`` choose along these axes. If a ``region`` is
+    given, only chunks in it are read. Spacing is the scale of the image, in the unit of x, else 1.
+
+    Raises VolumeError if there is no such array, if it has other axes of more than one element, if
+    its codecs are not installed, and for links that lead out of the folder. The slabs raise it for
+    damaged chunks.
     """
     found = find_array(path, level)
     if level is None and region is None:
@@ -283,14 +282,16 @@ def open_zarr(
 
 
 def within(picks: list[Any], order: tuple[int, ...], region: Region) -> tuple[Any, ...]:
-    """What is read along each axis of a ``region``."""
+    """Return the key of a ``region``: its range along each axis in space, and the ``picks`` along
+    the others.
+    """
     inside = dict(zip(order, region[::-1], strict=True))
     return tuple(slice(*inside[n]) if n in inside else pick for n, pick in enumerate(picks))
 
 
 def _fitting(path: Path | str, found: FoundArray) -> FoundArray:
-    """The finest resolution of an image that fits into the memory budget and that a picture can
-    show, with a note where it is not the finest of all; the coarsest where none fits.
+    """Return the finest resolution of an image that fits into the memory budget and that a picture
+    can show, with a note if it is not the finest of all; the coarsest if none fits.
     """
     level = 0
     while level + 1 < found.levels and (
@@ -316,26 +317,26 @@ def _fitting(path: Path | str, found: FoundArray) -> FoundArray:
 
 
 def _too_large(found: FoundArray) -> bool:
-    """Whether the voxels of an array take more than the memory budget."""
+    """Return True if the voxels of an array take more than the memory budget."""
     return _voxels(found, None) * np.dtype(np.float32).itemsize > budget()
 
 
 def _sides(found: FoundArray) -> list[int]:
-    """Voxels of the field along its axes in space."""
+    """Return the numbers of voxels of the field along its axes in space."""
     return [
         n for axis, n in zip(found.axes, found.array.shape, strict=True) if axis.name in SPACE_AXES
     ]
 
 
 def _voxels(found: FoundArray, region: Region | None) -> int:
-    """Voxels of the field in an array, or of a region of it."""
+    """Return the number of voxels of the field in an array, or of a region of it."""
     if region is not None:
         return math.prod(high - low for low, high in region)
     return math.prod(_sides(found))
 
 
 def _chunks(found: FoundArray, region: Region | None) -> int:
-    """Chunks that hold the field in an array, or a region of it."""
+    """Return the number of chunks that hold the field in an array, or a region of it."""
     spans = dict(zip(SPACE_AXES, region or (), strict=False))
     sizes = zip(found.axes, found.array.shape, found.array.chunks, strict=True)
     spatial = [
@@ -345,7 +346,7 @@ def _chunks(found: FoundArray, region: Region | None) -> int:
 
 
 def _order(axes: tuple[Axis, ...]) -> tuple[int, ...]:
-    """The places of z, y and x among the axes of an array."""
+    """Return the places of z, y and x among the axes of an array."""
     names = [axis.name for axis in axes]
     return tuple(names.index(name) for name in SPACE_AXES[::-1])
 
@@ -373,10 +374,8 @@ def _stamp(among: Hierarchy, part: list[Any]) -> str:
 
 
 def _packing(array: "zarr.Array[Any]") -> Packing:
-    """The packing of an array, by CF's attributes.
-
-    Xarray writes the mark of holes as the fill value of Zarr's second version; zero is what others
-    fill with.
+    """Return the packing of an array, by CF's attributes. Xarray writes the mark of holes as the
+    fill value of Zarr's second version; other programs fill with zero.
     """
     attributes: dict[str, Any] = array.attrs.asdict()
     if array.metadata.zarr_format == 2:
@@ -389,8 +388,8 @@ def _packing(array: "zarr.Array[Any]") -> Packing:
 
 
 def find_array(path: Path | str, level: int | None) -> FoundArray:
-    """The array at ``path``, or that of ``level`` of the image there; of several images the first,
-    with a note.
+    """Return the array at ``path``, or that of ``level`` of the image there; of several images the
+    first, with a note.
     """
     among = hierarchy_at(path)
     notes = list[str]()
@@ -434,7 +433,7 @@ def find_array(path: Path | str, level: int | None) -> FoundArray:
 
 
 def _open(path: Path | str, among: Hierarchy, inside: str) -> "zarr.Array[Any] | zarr.Group":
-    """An array or a group of a hierarchy."""
+    """Return an array or a group of a hierarchy."""
     try:
         return zarr.open(store=among.store, path=inside, mode="r")
     except FileNotFoundError as error:
@@ -454,7 +453,7 @@ def _resolutions(group: zarr.Group, path: Path | str) -> list[Resolution]:
 def _no_array(
     path: Path | str, group: zarr.Group, image: list[Resolution], level: int | None
 ) -> str:
-    """The message for a group without the array that is asked for."""
+    """Return the message for a group without the array that is asked for."""
     if image:
         return f"level = {level} of '{path}' is not there: it has levels 0 to {len(image) - 1}."
     names = (
@@ -478,7 +477,7 @@ def _members(group: zarr.Group, most: int = MOST_NAMED) -> list[str]:
 
 
 def _resolution_above(path: Path | str, among: Hierarchy) -> Resolution | None:
-    """The resolution that the nearest image above an array gives for it."""
+    """Return the resolution that the nearest image above an array gives for it."""
     if among.inside:
         parts = among.inside.split("/")
     else:
@@ -497,7 +496,9 @@ def _resolution_above(path: Path | str, among: Hierarchy) -> Resolution | None:
 def _with_axes(
     path: Path | str, among: Hierarchy, array: "zarr.Array[Any]", given: Resolution | None
 ) -> FoundArray:
-    """The array with its axes: those of the image, else by their names, else by their number."""
+    """Return the array with its axes: those of the image, else by their names, else by their
+    number.
+    """
     placed = given is not None and given.matrix is not None
     scales: tuple[Along | None, ...] = ()
     notes: tuple[str, ...] = ()
@@ -540,7 +541,7 @@ def _only_field(
 
 
 def _several_fields(path: Path | str, fields: Sequence["zarr.Array[Any]"]) -> str:
-    """The message for a group of which no field is chosen."""
+    """Return the message for a group of which no field is chosen."""
     names = [f"'{path}/{PurePath(each.path).name}'" for each in fields[:MOST_NAMED]]
     return f"'{path}' holds several fields: choose of {', '.join(names)}."
 
@@ -550,7 +551,7 @@ MOST_FIELDS = 64
 
 
 def _pick(path: Path | str, found: FoundArray, place: int, chosen: dict[str, int | None]) -> int:
-    """The element that is read along an axis that is not spatial."""
+    """Return the number of the element that is read along an axis that is not spatial."""
     name = found.axes[place].name
     length = found.array.shape[place]
     key = CHOSEN_AXES.get(name)
@@ -567,7 +568,7 @@ def _pick(path: Path | str, found: FoundArray, place: int, chosen: dict[str, int
 
 
 def _check(path: Path | str, found: FoundArray, region: Region | None) -> None:
-    """Raise VolumeError where the array is no 3-D field, or of an impossible size."""
+    """Raise VolumeError if the array is no 3-D field, or of an impossible size."""
     array = found.array
     space = [axis.name for axis in found.axes if axis.name in SPACE_AXES]
     if sorted(space) != list(SPACE_AXES):
@@ -603,8 +604,8 @@ def _slabs(
     shape: Shape,
     packing: Packing,
 ) -> Iterator[np.ndarray]:
-    """The array, a layer of chunks or less at a time; ``picks`` are what is read along each axis,
-    and the places of z, y, x among them.
+    """Yield the array, a layer of chunks or less at a time. ``picks`` are the elements or ranges
+    that are read along each axis, and the places of z, y, x among the axes.
     """
     chosen, order = picks
     inside = chosen[order[0]]

@@ -296,25 +296,25 @@ class RotatedLight:
             ambient = (1.0 - KEY_LIGHT_SHARE) * self.mean
             return shoulder_light(self.view.camera), KEY_LIGHT_SHARE * self.mean, ambient
         # Case 2: the directional light has a share of all light, which is 4π times the mean.
-        pull, share = self._pull
+        pull, share = self._brightest_side
         direction = pull / np.linalg.norm(pull)
         share = min(share, 0.9)
         return triple(direction), 4.0 * share * self.mean, (1.0 - share) * self.mean
 
     @property
     def key_follows(self) -> Literal["nothing", "light", "camera"]:
-        """Return what the key light turns with: nothing, the environment, or the camera; cases 1
-        to 3 of ``key_light``.
+        """Say how the key light moves: not at all, with the environment ("light"), or with the
+        camera. These are cases 1, 2 and 3 of ``key_light``.
         """
         scene = self.spec.prepared.scene
         _, irradiances = scene.lighting.lamps.seen_from(scene.volume.centre)
         if (irradiances @ LUMINANCE_WEIGHTS).any():
             return "nothing"
-        _, share = self._pull
+        _, share = self._brightest_side
         return "light" if share > KEY_SHARE else "camera"
 
     @cached_property
-    def _pull(self) -> tuple[np.ndarray, float]:
+    def _brightest_side(self) -> tuple[np.ndarray, float]:
         """The direction to the brightest side of the environment, (3,) of any length, and the share
         of all light, 4π times the mean, that a directional light from there has; 0 without light.
         """

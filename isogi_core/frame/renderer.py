@@ -19,7 +19,7 @@ next frames. Its keys name the step and the surface that a view shows, by isoval
 
 ``Reading``, ``FilteredLight``, ``LobeLight`` and ``ShineLight`` have a KIND_SHARE of the bytes
 each, so that a light that turns, or a bake that goes on, drives out no surface. Normals of texels
-are the same in all views: ``OwnNormals`` keeps them.
+are the same in all views: ``LatticeNormals`` keeps them.
 """
 
 import threading
@@ -46,7 +46,7 @@ from isogi_core.frame.several.composer import Composer
 from isogi_core.frame.several.peels import Peels
 from isogi_core.frame.shot import Shot
 from isogi_core.frame.surface_renderer import BLOCKS_SHARE, VIEW_BYTES, SurfaceRenderer
-from isogi_core.frame.texel_normals import OwnNormals
+from isogi_core.frame.texel_normals import LatticeNormals
 from isogi_core.frame.texel_reading import Reading, read_texels
 from isogi_core.frame.texel_shading import StandIn
 from isogi_core.frame.tiles import Stopwatch, Tiles
@@ -190,7 +190,7 @@ class Renderer(SurfaceRenderer):
         return self._kept.get((GBuffer, surface_key(view)), make)
 
     @property
-    def known_normals(self) -> OwnNormals:
+    def known_normals(self) -> LatticeNormals:
         """The normals of texels at their own positions, as far as views or chunks have asked
         for them.
         """

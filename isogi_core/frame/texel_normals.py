@@ -30,7 +30,7 @@ ENTRY = 20
 """Bytes of a texel in the table: its number and its normal."""
 
 
-class OwnNormals:
+class LatticeNormals:
     """A hash table of the outward unit world normals of a lattice's texels at their positions. No
     isovalue, camera or light changes these, so all views share it.
 
@@ -71,8 +71,8 @@ class OwnNormals:
         """Return the normals of the texels with the distinct ``numbers`` (m,) uint64; (m, 3)
         float32.
 
-        Those that the table lacks are found by ``find``, which is given their rows, and kept.
-        Raises Cancelled.
+        ``find`` computes those that the table lacks: it takes their rows in ``numbers``, and
+        returns their normals. As many of these as fit are kept for the next call. Raises Cancelled.
         """
         normals = np.empty((len(numbers), 3), np.float32)
         found = np.empty(len(numbers), np.bool_)
@@ -81,7 +81,7 @@ class OwnNormals:
             look_up_normals(numbers[a:b], *table, normals[a:b], found[a:b])
 
         with self._lock:
-            # Look up all texels, then find the others together.
+            # Look up all texels in parallel, then compute together those that the table lacks.
             table = self._keys, self._normals
             tiles.run(_piece, len(numbers), TEXELS_A_PIECE)
             new = np.flatnonzero(~found)
@@ -101,48 +101,54 @@ class OwnNormals:
 
 @dataclass(eq=False)
 class TexelNormals:
-    """Outward unit world normals of a view's texels: ``own`` (texels, 3) float32, at their
-    positions.
+    """Outward unit world normals of a view's texels: ``at_positions`` (texels, 3) float32 those at
+    their positions.
 
-    Normals on the view's isosurface are found later, for texels that are read there.
+    Projected texels are lit at a point of the view's isosurface instead: their normals there are
+    found when they are first asked for.
     """
 
-    own: np.ndarray
-    _there: np.ndarray = field(repr=False)
+    at_positions: np.ndarray
+    _on_surface: np.ndarray = field(repr=False)
     _known: np.ndarray = field(repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
     @property
     def nbytes(self) -> int:
         """The size of its arrays in bytes."""
-        return self.own.nbytes + self._there.nbytes + self._known.nbytes
+        return self.at_positions.nbytes + self._on_surface.nbytes + self._known.nbytes
 
-    def where(
+    def select(
         self, projected: np.ndarray, texels: ViewTexels, prepared: PreparedScene, tiles: Tiles
     ) -> np.ndarray:
-        """Return the normals of the view's ``texels``: on its isosurface for those that are
-        ``projected`` (texels,) bool, at their positions for all others; (texels, 3) float32.
+        """Return the normal at the point at which each of the view's ``texels`` was lit: on its
+        isosurface for those that are ``projected`` (texels,) bool, at their positions for all
+        others; (texels, 3) float32. Raises Cancelled.
         """
         if not projected.any():
-            return self.own
+            return self.at_positions
         with self._lock:
-            # Find those that no earlier call has asked for.
+            # Find the normals on the surface that no earlier call has found.
             new = np.flatnonzero(projected & ~self._known)
-            self._there[new] = normals_of(texels, texels.places[new], True, prepared, tiles)
+            self._on_surface[new] = normals_of(texels, texels.places[new], True, prepared, tiles)
             self._known[new] = True
-            return np.where(projected[:, None], self._there, self.own)
+            return np.where(projected[:, None], self._on_surface, self.at_positions)
 
 
 def find_texel_normals(
-    texels: ViewTexels, known: OwnNormals, prepared: PreparedScene, tiles: Tiles
+    texels: ViewTexels, known: LatticeNormals, prepared: PreparedScene, tiles: Tiles
 ) -> TexelNormals:
     """Return the normals of a view's texels at their positions, looking them up in ``known``."""
-    own = own_normals(texels, texels.places, known, prepared, tiles)
-    return TexelNormals(own, np.zeros_like(own), np.zeros(len(own), np.bool_))
+    normals = normals_at_positions(texels, texels.places, known, prepared, tiles)
+    return TexelNormals(normals, np.zeros_like(normals), np.zeros(len(normals), np.bool_))
 
 
-def own_normals(
-    texels: ViewTexels, places: np.ndarray, known: OwnNormals, prepared: PreparedScene, tiles: Tiles
+def normals_at_positions(
+    texels: ViewTexels,
+    places: np.ndarray,
+    known: LatticeNormals,
+    prepared: PreparedScene,
+    tiles: Tiles,
 ) -> np.ndarray:
     """Return the normals of the texels at some ``places`` (k,), looking them up in ``known``;
     (k, 3) float32.

@@ -29,7 +29,7 @@ from isogi_core.frame.shading import (
 from isogi_core.frame.shot import Shot
 from isogi_core.frame.texel_normals import (
     ENTRY,
-    OwnNormals,
+    LatticeNormals,
     TexelNormals,
     find_texel_normals,
     nearby_normals,
@@ -143,7 +143,7 @@ class TexelShading:
         self._kept = kept
         self._filters = filters
         self._stand_in = stand_in
-        self.normals = OwnNormals(min(most, 4 * ENTRY * math.prod(self.prepared.shape)))
+        self.normals = LatticeNormals(min(most, 4 * ENTRY * math.prod(self.prepared.shape)))
 
     @property
     def nbytes(self) -> int:
@@ -339,4 +339,4 @@ class TexelShading:
             return nearby_normals(texels, tiles)
         make = partial(find_texel_normals, texels, self.normals, self.prepared, tiles)
         normals = self._kept.get((TexelNormals, surface_key(shot.view), texels.coarse), make)
-        return normals.where(reading.on_surface, texels, self.prepared, tiles)
+        return normals.select(reading.on_surface, texels, self.prepared, tiles)

@@ -191,9 +191,12 @@ class ViewChecks(Refinement[PictureCheck]):
 
 
 def goal_of_texels(goal: Goal, view: View, known: PictureState | None) -> Goal:
-    """Return the goal of the texels of a ``view`` whose picture has a ``goal``: if the picture is
-    checked, the samples that its check wants; else, as for vicinity shading, each must reach the
-    error alone.
+    """Return the goal of the texels of a ``view`` whose picture has a ``goal``. ``known`` is the
+    state of the picture's check, None before it began.
+
+    The total error of a picture with global illumination is measured, so its texels need only the
+    samples that the check asks for. Other pictures, as of vicinity shading, are not measured: there
+    each texel must reach the error by itself.
     """
     if view.shading != "gi":
         return Goal(goal.error)

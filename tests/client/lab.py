@@ -109,7 +109,7 @@ def lab_of(scene: Path, store: Path, bakes: bool = True, port: int = 0) -> Itera
     )
     app.add_middleware(Faulty, faults=faults)
     if bakes:
-        baker.employ(cast(WorkerPool, pool))
+        baker.use_pool(cast(WorkerPool, pool))
     try:
         with live(app, port=port) as url:
             yield Lab(url, faults, baker)

@@ -243,7 +243,7 @@ def test_a_view_that_cannot_become_final_ends_with_the_reason(
     small_scene: Path, tmp_path: Path
 ) -> None:
     with lab_of(small_scene, tmp_path, bakes=False) as lab, Isogi(lab.url, TOKEN) as isogi:
-        lab.baker.employ(cast(WorkerPool, Broken()))
+        lab.baker.use_pool(cast(WorkerPool, Broken()))
         with pytest.raises(NotFinalError, match="cursed"):
             isogi.frame("small", wait="final", **VIEW)
         assert isogi.frame("small", **VIEW).facts.provisional
@@ -425,7 +425,7 @@ def test_a_job_that_is_dismissed_or_fails_says_so(small_scene: Path, tmp_path: P
         job.dismiss()
         with pytest.raises(JobError, match="dismissed"):
             job.wait()
-        lab.baker.employ(cast(WorkerPool, Broken()))
+        lab.baker.use_pool(cast(WorkerPool, Broken()))
         with pytest.raises(JobError, match="cursed"):
             isogi.prewarm("small", **ORDER).wait()
 

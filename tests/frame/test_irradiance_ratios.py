@@ -14,7 +14,7 @@ import pytest
 from isogi_core.bake.bake_spec import spec_for
 from isogi_core.frame import texel_normals, texel_shading
 from isogi_core.frame.lighting import RotatedLight
-from isogi_core.frame.texel_normals import OwnNormals, find_texel_normals
+from isogi_core.frame.texel_normals import LatticeNormals, find_texel_normals
 from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import carries_irradiance_ratios
 from isogi_core.kernels.shading.irradiance_ratio import MIN_UNSHADOWED
@@ -151,18 +151,20 @@ def test_normals_of_projected_texels_are_found_once(
     asked = []
     gbuffer = orbital.renderer.gbuffer(view)
     texels = orbital.renderer.texels(view, gbuffer)
-    found = find_texel_normals(texels, OwnNormals(1 << 20), orbital.prepared, Tiles(2))
+    found = find_texel_normals(texels, LatticeNormals(1 << 20), orbital.prepared, Tiles(2))
     monkeypatch.setattr(
         texel_normals,
         "fill_texel_normals",
         lambda *each: (asked.append(len(each[4])), fill_texel_normals(*each)),
     )
     assert (
-        found.where(np.zeros(len(found.own), np.bool_), texels, orbital.prepared, Tiles(1))
-        is found.own
+        found.select(
+            np.zeros(len(found.at_positions), np.bool_), texels, orbital.prepared, Tiles(1)
+        )
+        is found.at_positions
     )
     places = texels.positions
-    count = len(found.own)
+    count = len(found.at_positions)
     there = np.empty((3, count))
     normals = np.empty((3, count))
     verdicts = np.empty(count, np.uint8)
@@ -178,9 +180,9 @@ def test_normals_of_projected_texels_are_found_once(
     projected = verdicts == TEXEL_PROJECTED
     projected[::3] = False
     for mask in (projected & (np.arange(count) % 2 == 0), projected, projected):
-        facing = found.where(mask, texels, orbital.prepared, Tiles(1))
+        facing = found.select(mask, texels, orbital.prepared, Tiles(1))
         np.testing.assert_allclose(facing[mask], normals.T[mask], atol=2e-3)
-        assert np.array_equal(facing[~mask], found.own[~mask])
+        assert np.array_equal(facing[~mask], found.at_positions[~mask])
     assert sum(asked) == projected.sum() > 100, "each is found once"
     assert found.nbytes == 25 * count
 

@@ -10,7 +10,7 @@ import pytest
 
 from isogi_core.frame import texel_normals
 from isogi_core.frame.demand import most_seen
-from isogi_core.frame.texel_normals import ENTRY, OwnNormals, find_texel_normals
+from isogi_core.frame.texel_normals import ENTRY, LatticeNormals, find_texel_normals
 from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import LEAST_SEEN
 from isogi_core.kernels.shading.chunks import add_footprints
@@ -49,20 +49,22 @@ def test_normals_of_other_views_are_not_found_again(
         texel_normals, "fill_texel_normals", lambda *each: (asked.append(len(each[4])), fill(*each))
     )
     texels = orbital.renderer.texels(view, orbital.renderer.gbuffer(view))
-    known = OwnNormals(1 << 20)
+    known = LatticeNormals(1 << 20)
     first, again = (
-        find_texel_normals(texels, known, orbital.prepared, tiles).own for _ in range(2)
+        find_texel_normals(texels, known, orbital.prepared, tiles).at_positions for _ in range(2)
     )
     assert sum(asked) == len(first) > 100
     assert first.tobytes() == again.tobytes()
     assert (
-        find_texel_normals(texels, OwnNormals(1 << 20), orbital.prepared, tiles).own.tobytes()
+        find_texel_normals(
+            texels, LatticeNormals(1 << 20), orbital.prepared, tiles
+        ).at_positions.tobytes()
         == first.tobytes()
     )
 
 
 def test_a_full_table_begins_anew() -> None:
-    known = OwnNormals(300 * ENTRY)
+    known = LatticeNormals(300 * ENTRY)
     asked = list[int]()
     assert known.nbytes == 0, "nothing is taken before it is needed"
 

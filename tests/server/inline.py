@@ -80,7 +80,7 @@ class InlinePool:
         """
         self._thread.submit(bake_sent, pickle.dumps(task), done)
 
-    def attend(self, stir: Callable[[], None]) -> None:
+    def on_workers_changed(self, callback: Callable[[], None]) -> None:
         """Do nothing: the thread neither comes nor goes."""
 
     def prepare(self, work: Callable[[], object]) -> None:

@@ -70,7 +70,7 @@ def service(specimen: Specimen, folder: Path) -> Iterator[FastAPI]:
         closing(InlinePool()) as workers,
         closing(EngineWithoutWorkers([scene], str(folder / "light"), baker=baker)) as engine,
     ):
-        baker.employ(cast(WorkerPool, workers))
+        baker.use_pool(cast(WorkerPool, workers))
         yield create_app(engine, settings_from())
 
 

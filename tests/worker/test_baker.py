@@ -116,9 +116,9 @@ class Bench:
         demands = [Demand((0, 0, x), texels, 10.0 - x, effort, seen) for x in chunks]
         return self.baker.request(scene, demands, 0.1, viewer)
 
-    def employ(self, room: int) -> FakePool:
+    def use_pool(self, room: int) -> FakePool:
         pool = FakePool(room)
-        self.baker.employ(pool)  # type: ignore[arg-type]
+        self.baker.use_pool(pool)  # type: ignore[arg-type]
         return pool
 
 
@@ -128,7 +128,7 @@ def bench() -> Bench:
 
 
 def test_a_task_holds_all_that_a_worker_must_know(bench: Bench) -> None:
-    pool = bench.employ(1)
+    pool = bench.use_pool(1)
     bench.request(3)
     task = pool.in_flight[0][0]
     assert (task.source, task.plan, task.digest, task.store_url) == (
@@ -147,7 +147,7 @@ def test_a_task_holds_all_that_a_worker_must_know(bench: Bench) -> None:
 
 
 def test_few_tasks_fly_and_the_newest_view_is_next(bench: Bench) -> None:
-    pool = bench.employ(2)
+    pool = bench.use_pool(2)
     bench.request(1, 2, 3)
     assert pool.tasks() == [1, 2]
     bench.request(9)
@@ -158,7 +158,7 @@ def test_few_tasks_fly_and_the_newest_view_is_next(bench: Bench) -> None:
 
 
 def test_each_chunk_is_reported_and_refined_until_final(bench: Bench) -> None:
-    pool = bench.employ(1)
+    pool = bench.use_pool(1)
     bench.request(1)
     assert pool.end(left(2, 0.8, 100.0)).until == 16
     assert bench.arrived == [(0, 0, 1)]
@@ -169,7 +169,7 @@ def test_each_chunk_is_reported_and_refined_until_final(bench: Bench) -> None:
 
 def test_scenes_share_the_workers(bench: Bench) -> None:
     others = bench.add("other", "other digest", frozenset({"whole"}))
-    pool = bench.employ(4)
+    pool = bench.use_pool(4)
     bench.request(1)
     bench.request(1, scene="other")
     assert [task.digest for task, _ in pool.in_flight] == ["digest", "other digest"]
@@ -181,7 +181,7 @@ def test_scenes_share_the_workers(bench: Bench) -> None:
 
 def test_bakes_that_share_a_layer_take_turns_at_a_chunk(bench: Bench) -> None:
     bench.add("near", "near digest", frozenset({"direct"}), NEAR)
-    pool = bench.employ(8)
+    pool = bench.use_pool(8)
     bench.request(1, 2)
     bench.request(2, 3, scene="near")
     in_flight = [(PLAN, 1), (PLAN, 2), (NEAR, 3), (NEAR, 2)]
@@ -193,7 +193,7 @@ def test_bakes_that_share_a_layer_take_turns_at_a_chunk(bench: Bench) -> None:
 
 
 def test_waiting_ends_when_the_light_is_there(bench: Bench) -> None:
-    pool = bench.employ(4)
+    pool = bench.use_pool(4)
     bench.request(1, 2, 7)
     waiting = threading.Thread(
         target=bench.baker.wait, args=("scene", [(0, 0, 1), (0, 0, 2)], 60.0)
@@ -207,7 +207,7 @@ def test_waiting_ends_when_the_light_is_there(bench: Bench) -> None:
 
 
 def test_waiting_ends_with_its_time(bench: Bench) -> None:
-    bench.employ(1)
+    bench.use_pool(1)
     bench.request(1)
     bench.baker.wait("scene", [(0, 0, 1)], 0.01)
     assert bench.arrived == []
@@ -219,7 +219,7 @@ def fail(bench: Bench, pool: FakePool, times: int) -> None:
 
 
 def test_failed_tasks_are_tried_again(bench: Bench, caplog: pytest.LogCaptureFixture) -> None:
-    pool = bench.employ(1)
+    pool = bench.use_pool(1)
     bench.request(1)
     with caplog.at_level(logging.WARNING, "isogi.worker"):
         fail(bench, pool, MOST_FAILURES - 1)
@@ -231,7 +231,7 @@ def test_failed_tasks_are_tried_again(bench: Bench, caplog: pytest.LogCaptureFix
 
 
 def test_a_chunk_that_fails_too_often_is_given_up_alone(bench: Bench) -> None:
-    pool = bench.employ(1)
+    pool = bench.use_pool(1)
     bench.request(1, 2)
     fail(bench, pool, MOST_FAILURES)
     assert pool.tasks() == [2]
@@ -248,7 +248,7 @@ def test_a_chunk_that_fails_too_often_is_given_up_alone(bench: Bench) -> None:
 
 
 def test_a_stopped_baker_hands_out_nothing(bench: Bench) -> None:
-    pool = bench.employ(1)
+    pool = bench.use_pool(1)
     bench.request(1, 2)
     bench.baker.stop()
     pool.end(None, StoreError("The workers were stopped."))
@@ -258,7 +258,7 @@ def test_a_stopped_baker_hands_out_nothing(bench: Bench) -> None:
 
 
 def test_light_that_comes_after_the_stop_is_still_reported(bench: Bench) -> None:
-    pool = bench.employ(1)
+    pool = bench.use_pool(1)
     bench.request(1)
     bench.baker.stop()
     pool.end()
@@ -266,7 +266,7 @@ def test_light_that_comes_after_the_stop_is_still_reported(bench: Bench) -> None
 
 
 def test_many_threads_may_request_at_once(bench: Bench) -> None:
-    pool = bench.employ(10_000)
+    pool = bench.use_pool(10_000)
     threads = [threading.Thread(target=bench.request, args=range(i, i + 50)) for i in range(20)]
     for thread in threads:
         thread.start()
@@ -280,7 +280,7 @@ def test_many_threads_may_request_at_once(bench: Bench) -> None:
 
 
 def test_time_left_follows_from_what_the_bake_took(bench: Bench) -> None:
-    pool = bench.employ(1)
+    pool = bench.use_pool(1)
     bench.request(1, 2, 3)
     chunks = [(0, 0, x) for x in (1, 2, 3)]
     assert bench.baker.time_left("scene", "view", chunks) is None
@@ -299,12 +299,12 @@ def test_time_left_is_unknown_without_a_number_of_workers() -> None:
     bench.costs.add((0, 0, 1), Cost(1.0, 100, 2, 0.5))
     bench.request(1)
     assert bench.baker.time_left("scene", "view", [(0, 0, 1)]) is None
-    bench.employ(1)
+    bench.use_pool(1)
     assert bench.baker.time_left("scene", "view", [(0, 0, 1)]) is not None
 
 
 def test_costs_are_kept_when_the_baker_stops(bench: Bench) -> None:
-    pool = bench.employ(1)
+    pool = bench.use_pool(1)
     bench.request(1)
     pool.end()
     bench.baker.stop()
@@ -314,7 +314,7 @@ def test_costs_are_kept_when_the_baker_stops(bench: Bench) -> None:
 
 
 def test_nothing_more_is_baked_for_clients_that_left(bench: Bench) -> None:
-    pool = bench.employ(1)
+    pool = bench.use_pool(1)
     bench.request(1, 2, viewer=Viewer("Anna"))
     bench.request(9, viewer=Viewer("Bert"))
     bench.baker.leave(Viewer("Anna"))
@@ -327,7 +327,7 @@ def test_nothing_more_is_baked_for_clients_that_left(bench: Bench) -> None:
 def test_listeners_are_called_after_the_queue_was_updated(bench: Bench) -> None:
     heard: list[tuple[str, Index, bool]] = []
     bench.baker.listen(lambda *news: heard.append(news))
-    pool = bench.employ(1)
+    pool = bench.use_pool(1)
     bench.request(1)
     pool.end(left(1, 0.5))
     pool.end()
@@ -345,7 +345,7 @@ def test_listeners_are_called_after_the_queue_was_updated(bench: Bench) -> None:
 
 
 def test_half_the_workers_rest_while_a_view_moves(bench: Bench) -> None:
-    pool = bench.employ(4)
+    pool = bench.use_pool(4)
     bench.request(*range(1, 10))
     assert len(pool.tasks()) == 4
     bench.baker.make_way()
@@ -360,7 +360,7 @@ def test_half_the_workers_rest_while_a_view_moves(bench: Bench) -> None:
 
 
 def test_workers_that_stand_elsewhere_go_on_while_a_view_moves(bench: Bench) -> None:
-    pool = bench.employ(4)
+    pool = bench.use_pool(4)
     pool.here = False
     bench.baker.make_way()
     bench.request(1, 2, 3, 4, 5)
@@ -368,7 +368,7 @@ def test_workers_that_stand_elsewhere_go_on_while_a_view_moves(bench: Bench) -> 
 
 
 def test_tasks_for_absent_workers_wait_until_they_are_back(bench: Bench) -> None:
-    pool = bench.employ(2)
+    pool = bench.use_pool(2)
     bench.request(1, 2, 3)
     pool.room = 0
     for _ in range(2):
@@ -377,7 +377,7 @@ def test_tasks_for_absent_workers_wait_until_they_are_back(bench: Bench) -> None
     assert bench.request(1, 2, 3) == {(0, 0, 1), (0, 0, 2), (0, 0, 3)}
     assert (bench.baker.trouble(), bench.baker.tally().failed) == ("", 0)
     pool.room = 3
-    bench.baker.stir()
+    bench.baker.dispatch()
     assert pool.tasks() == [1, 2, 3]
 
 
@@ -388,7 +388,7 @@ def test_a_claimed_chunk_waits_while_others_are_baked(
     monkeypatch.setattr(
         "isogi_worker.baker.after", lambda seconds, call: later.append((seconds, call))
     )
-    pool = bench.employ(1)
+    pool = bench.use_pool(1)
     bench.request(1, 2)
     assert pool.end(BAKED_ELSEWHERE).owner
     assert pool.tasks() == [2]
@@ -405,16 +405,16 @@ def test_a_claimed_chunk_waits_while_others_are_baked(
 
 def test_a_long_wait_for_another_baker_ends(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("isogi_worker.baker.after", lambda *_: None)
-    pool = bench.employ(1)
+    pool = bench.use_pool(1)
     bench.request(1)
     looks = 0
     while not pool.end(BAKED_ELSEWHERE).insists:
         looks += 1
         bench.now += POSTPONE_SECONDS
-        bench.baker.stir()
+        bench.baker.dispatch()
     assert looks == LONGEST_REST / POSTPONE_SECONDS
     bench.now += POSTPONE_SECONDS
-    bench.baker.stir()
+    bench.baker.dispatch()
     assert pool.end(left(2, 0.8)).insists and not pool.end().insists
 
 
@@ -427,7 +427,7 @@ def test_something_is_called_after_a_while() -> None:
 def test_a_dropped_scene_is_baked_no_more_and_waiters_learn_it(bench: Bench) -> None:
     reported: list[tuple[str, Index, bool]] = []
     bench.baker.listen(lambda *news: reported.append(news))
-    pool = bench.employ(1)
+    pool = bench.use_pool(1)
     bench.request(1, 2)
     bench.baker.forget("scene")
     assert reported == [("scene", (0, 0, 1), False), ("scene", (0, 0, 2), False)]
@@ -438,7 +438,7 @@ def test_a_dropped_scene_is_baked_no_more_and_waiters_learn_it(bench: Bench) -> 
 
 
 def test_a_scene_that_comes_again_waits_for_the_task_that_flies(bench: Bench) -> None:
-    pool = bench.employ(2)
+    pool = bench.use_pool(2)
     bench.request(1)
     bench.baker.forget("scene")
     bench.add("scene")
@@ -453,7 +453,7 @@ def test_a_result_after_its_scene_was_dropped_does_no_harm(
     bench: Bench, error: Exception | None
 ) -> None:
     bench.add("other", "other", frozenset({"whole"}))
-    pool = bench.employ(1)
+    pool = bench.use_pool(1)
     bench.request(1)
     bench.request(1, scene="other")
     bench.baker.forget("scene")
@@ -471,7 +471,7 @@ GONE = StoreAwayError("The store is gone.")
 def test_one_task_that_misses_the_store_delays_no_other(
     bench: Bench, caplog: pytest.LogCaptureFixture
 ) -> None:
-    pool = bench.employ(2)
+    pool = bench.use_pool(2)
     bench.request(1, 2, 3)
     for _ in range(2):
         pool.end(None, GONE)
@@ -483,7 +483,7 @@ def test_one_task_that_misses_the_store_delays_no_other(
 def test_an_absent_store_is_tried_now_and_then_by_one_task(
     bench: Bench, caplog: pytest.LogCaptureFixture
 ) -> None:
-    pool = bench.employ(2)
+    pool = bench.use_pool(2)
     bench.request(1, 2, 3)
     for _ in range(3):
         pool.end(None, GONE)
@@ -509,7 +509,7 @@ def test_an_absent_store_is_tried_now_and_then_by_one_task(
 
 
 def test_a_poison_chunk_is_given_up_though_the_store_was_away(bench: Bench) -> None:
-    pool = bench.employ(1)
+    pool = bench.use_pool(1)
     bench.request(1)
     pool.end(None, GONE)
     bench.now += SHORTEST_PAUSE
@@ -523,7 +523,7 @@ def test_baking_goes_on_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench()
     bench.baker = Baker()
     bench.add("scene", layers=frozenset())
-    pool = bench.employ(1)
+    pool = bench.use_pool(1)
     bench.request(1)
     pool.end(None, GONE)
     assert wait_for(lambda: bool(pool.tasks()), 60.0)
@@ -532,7 +532,7 @@ def test_baking_goes_on_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_no_task_is_tried_after_a_stop_or_without_clients(bench: Bench) -> None:
-    pool = bench.employ(1)
+    pool = bench.use_pool(1)
     alone = Viewer("somebody", single=True)
     bench.request(1, viewer=alone)
     bench.baker.leave(alone)
@@ -544,7 +544,7 @@ def test_no_task_is_tried_after_a_stop_or_without_clients(bench: Bench) -> None:
 
 def test_light_that_has_come_meanwhile_is_told_as_coming(bench: Bench) -> None:
     """Whoever asked draws the view again: nothing is open, so that nobody waits."""
-    pool = bench.employ(1)
+    pool = bench.use_pool(1)
     assert bench.request(1) == {(0, 0, 1)}
     pool.end()
     assert bench.request(1) == {(0, 0, 1)}
@@ -556,7 +556,7 @@ def test_chunks_that_are_baked_together_end_each_by_itself(bench: Bench) -> None
     bench.request(1, 2, 3, 4)
     pool = FakePool(1)
     pool.together = 8
-    bench.baker.employ(pool)  # type: ignore[arg-type]
+    bench.baker.use_pool(pool)  # type: ignore[arg-type]
     ((tasks, done),) = pool.all_in_flight
     assert [task.index[2] for task in tasks] == [1, 2, 3, 4]
     done([DONE, left(1, 1.0), RuntimeError("no"), BAKED_ELSEWHERE])
@@ -575,7 +575,7 @@ def test_counts_of_waiting_requests_and_their_age(bench: Bench) -> None:
 
 
 def test_counts_of_done_failed_and_given_up_tasks(bench: Bench) -> None:
-    pool = bench.employ(1)
+    pool = bench.use_pool(1)
     pool.deaths = 3
     bench.request(1, 2)
     pool.end(replace(DONE, healed=True))

@@ -42,7 +42,7 @@ def test_a_worker_that_is_replaced_has_died(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr("isogi_worker.dask_pool.OwnClient", FakeClient)
     pool = DaskPool("tcp://elsewhere")
     stirred = threading.Semaphore(0)
-    pool.attend(stirred.release)
+    pool.on_workers_changed(stirred.release)
     assert (pool.workers, pool.deaths) == (2, 0)
     for addresses, counts in (
         (["a", "c"], (2, 1)),

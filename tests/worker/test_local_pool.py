@@ -187,7 +187,7 @@ def test_the_tasks_behind_a_lost_one_are_done_by_others(tmp_path: Path) -> None:
 def test_a_worker_that_dies_again_and_again_comes_back_each_time() -> None:
     with closing(LocalPool(1)) as fresh:
         stirred = threading.Semaphore(0)
-        fresh.attend(stirred.release)
+        fresh.on_workers_changed(stirred.release)
         dead = set[int]()
         for deaths in (1, 2, 3):
             (pid,) = fresh.pids()

@@ -48,16 +48,16 @@ class Bench:
         self.task = task
         self.pool = FakePool()
         self.met: list[Index] = []
-        self.stirred = 0
+        self.recovered = 0
         self.light = FreshLight(lambda: self.now)
         self.writer = LightWriter(
             self.pool,  # type: ignore[arg-type]
             lambda _, index: self.met.append(index),
-            self._stir,
+            self._recovered,
         )
 
-    def _stir(self) -> None:
-        self.stirred += 1
+    def _recovered(self) -> None:
+        self.recovered += 1
 
     def take(self, *indices: Index) -> None:
         """New light of some chunks."""
@@ -67,8 +67,8 @@ class Bench:
                 "scene", self.light, self.task, replace(DONE, chunk=chunk, changed=(True, True))
             )
 
-    def look(self, *wanted: Index) -> None:
-        self.writer.look(lambda _: {*wanted})
+    def write_due(self, *wanted: Index) -> None:
+        self.writer.write_due(lambda _: {*wanted})
 
 
 @pytest.fixture
@@ -81,14 +81,14 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Bench:
 
 def test_light_that_rests_is_written_once(bench: Bench) -> None:
     bench.take(INDEX, (0, 0, 1))
-    bench.look()
+    bench.write_due()
     assert bench.pool.tasks == []
     bench.now += fresh_light.REST_SECONDS
-    bench.look((0, 0, 1))
-    bench.look((0, 0, 1))
+    bench.write_due((0, 0, 1))
+    bench.write_due((0, 0, 1))
     assert bench.pool.end(False) == [INDEX] and bench.pool.tasks == []
     assert bench.met == [] and bench.writer.unwritten == 1
-    bench.look()
+    bench.write_due()
     assert bench.pool.end(True) == [(0, 0, 1)]
     assert bench.met == [(0, 0, 1)] and bench.writer.unwritten == 0
     bench.now += fresh_light.KEPT_SECONDS
@@ -101,26 +101,26 @@ def test_a_store_that_takes_nothing_is_tried_again(bench: Bench) -> None:
     bench.take(INDEX)
     bench.now += fresh_light.REST_SECONDS
     for seconds in (1.0, 2.0, 4.0, 8.0, 8.0):
-        bench.look()
+        bench.write_due()
         bench.pool.end(StoreAwayError("The store is full."))
         assert bench.writer.reason == "The store is full."
         bench.now += 0.9 * seconds
-        bench.look()
+        bench.write_due()
         assert bench.pool.tasks == []
         bench.now += seconds
-    assert bench.stirred == 0
-    bench.look()
+    assert bench.recovered == 0
+    bench.write_due()
     bench.pool.end(False)
-    assert (bench.writer.reason, bench.writer.unwritten, bench.stirred) == ("", 0, 1)
+    assert (bench.writer.reason, bench.writer.unwritten, bench.recovered) == ("", 0, 1)
 
 
 def test_light_that_kills_its_writers_is_dropped(bench: Bench) -> None:
     bench.take(INDEX)
     bench.now += fresh_light.REST_SECONDS
     for _ in range(MOST_FAILURES):
-        bench.look()
+        bench.write_due()
         bench.pool.end(error=LostWorkerError("It died."))
-    bench.look()
+    bench.write_due()
     assert bench.pool.tasks == [] and bench.writer.unwritten == 0
 
 

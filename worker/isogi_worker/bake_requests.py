@@ -208,9 +208,10 @@ class BakeRequest:
 
     @property
     def target(self) -> float:
-        """The strictest target.
+        """The strictest target of all clients that are interested.
 
-        It is known without merging texels, which would slow down estimates of the time left.
+        It is taken from each of them, as merging their texels would slow down estimates of the time
+        left. If none is left, it is the last merged one.
         """
         return min(
             (interest.target for interest in self.interests.values()), default=self._merged.target

@@ -27,7 +27,7 @@ from isogi_worker.errors import LostWorkerError, WorkersAwayError
 from isogi_worker.progress import Pace, Tally, TimeEstimator, TimeLeft, Work, work_seconds
 from isogi_worker.queue import BakeQueue
 from isogi_worker.tasks import Assets, BakeResult, BakeTask, Whole, open_spec
-from isogi_worker.writer import LOOK_SECONDS, LightWriter
+from isogi_worker.writer import CHECK_SECONDS, LightWriter
 
 if TYPE_CHECKING:
     from isogi_worker.pool import WorkerPool
@@ -40,8 +40,8 @@ each pause is twice as long as the last.
 
 
 class Pause:
-    """A pause in baking for a ``reason``, which is empty if baking goes on. ``resume``, kept as
-    ``stir``, is called when it is time for a try.
+    """A pause in baking for a ``reason``, which is empty if baking goes on. ``resume`` is called
+    when it is time for a try.
 
     The caller must hold the baker's lock around all methods. ``resume`` is called from another
     thread without that lock.
@@ -52,7 +52,7 @@ class Pause:
         self.reason = ""
         self._stumbled = False
         self._clock = clock
-        self.stir = resume
+        self._resume = resume
         self._seconds = SHORTEST_PAUSE
         self._until = 0.0
         self._timer: threading.Timer | None = None
@@ -81,7 +81,7 @@ class Pause:
         self._until = self._clock() + self._seconds
         self.reason = reason
         # Nothing else happens during a pause, so a timer starts the next try.
-        self._timer = threading.Timer(self._seconds, self.stir)
+        self._timer = threading.Timer(self._seconds, self._resume)
         self._timer.daemon = True
         self._timer.start()
 
@@ -148,7 +148,7 @@ class Baker:
     def __init__(
         self, clock: Callable[[], float] = time.monotonic, workers: int | None = 1
     ) -> None:
-        """Begin without a pool: requests wait until ``employ`` is called.
+        """Begin without a pool: requests wait until ``use_pool`` is called.
 
         ``workers`` is the expected number of workers, None if unknown.
         """
@@ -165,7 +165,7 @@ class Baker:
         self._pool: WorkerPool | None = None
         self._writer: LightWriter | None = None
         self._stopped = threading.Event()
-        self._looker: threading.Thread | None = None
+        self._writing: threading.Thread | None = None
         self._in_flight = 0
         self._done_tasks = self._done_chunks = self._failed_tasks = 0
         self._duplicate = self._healed = self._kept = 0
@@ -173,7 +173,7 @@ class Baker:
         self._seconds = 0.0
         # Time at which workers last began to leave cores free for a view that moves.
         self._way = -CLEAR_CORES_SECONDS
-        self._pause = Pause(clock, self.stir)
+        self._pause = Pause(clock, self.dispatch)
         self._changed = threading.Condition()
         self._listeners: list[Listener] = []
 
@@ -183,7 +183,7 @@ class Baker:
         # A cut may keep light of the whole, which workers read from the store: write all of it that
         # is in memory.
         if bake.whole is not None and self._writer is not None:
-            self._writer.write()
+            self._writer.write_all()
 
     def forget(self, scene: str) -> None:
         """Drop the bake of a scene, and tell listeners that no more of its chunks is baked."""
@@ -195,14 +195,16 @@ class Baker:
             self._notify(scene, index, False)
         bake.costs.save()
 
-    def employ(self, pool: "WorkerPool") -> None:
+    def use_pool(self, pool: "WorkerPool") -> None:
         """Begin to hand out tasks to ``pool``."""
         with self._changed:
             self._pool = pool
             if pool.keeps_light:
-                self._writer = LightWriter(pool, self._met, self.stir)
-                self._looker = threading.Thread(target=self._look, name="writing", daemon=True)
-                self._looker.start()
+                self._writer = LightWriter(pool, self._reread, self.dispatch)
+                self._writing = threading.Thread(
+                    target=self._write_due, name="writing", daemon=True
+                )
+                self._writing.start()
             self._feed()
 
     def prepare(self, scene: str | None = None) -> None:
@@ -219,9 +221,9 @@ class Baker:
                 partial(open_spec, bake.source, bake.plan, bake.digest, bake.store_url, bake.assets)
             )
 
-    def stir(self) -> None:
-        """Hand out tasks if there is room:
-        call it if workers have come, can be reached again, or a pause is over.
+    def dispatch(self) -> None:
+        """Hand out tasks if there is room. Call this if workers have come or can be reached again,
+        or if a pause is over.
         """
         with self._changed:
             self._feed()
@@ -372,9 +374,7 @@ class Baker:
             return Tally(*counts, *tasks, self.paths, *workers, self._kept, self._done_chunks)
 
     def stop(self) -> None:
-        """Hand out no more tasks, write the light
-        that is in memory, and save the measured costs.
-        """
+        """Hand out no more tasks, write the light that is in memory, and save measured costs."""
         # Without a pool no task is handed out, and nobody waits any longer for light.
         with self._changed:
             self._pool = None
@@ -382,8 +382,8 @@ class Baker:
             self._changed.notify_all()
         # End the thread that writes due light before the rest is written.
         self._stopped.set()
-        if self._looker is not None:
-            self._looker.join()
+        if self._writing is not None:
+            self._writing.join()
         if self._writer is not None:
             self._writer.finish()
         for bake in list(self._bakes.values()):
@@ -401,13 +401,13 @@ class Baker:
             return 0
         return self._writer.unwritten
 
-    def _look(self) -> None:
+    def _write_due(self) -> None:
         """Have due light written, and written light forgotten, until the baker stops.
 
         Runs in a thread.
         """
-        while self._writer is not None and not self._stopped.wait(LOOK_SECONDS):
-            self._writer.look(self._wanted)
+        while self._writer is not None and not self._stopped.wait(CHECK_SECONDS):
+            self._writer.write_due(self._wanted)
             with self._changed:
                 self._writer.sweep(self._queue.is_busy)
 
@@ -416,7 +416,7 @@ class Baker:
         with self._changed:
             return self._queue.wanted(name)
 
-    def _met(self, name: str, index: Index) -> None:
+    def _reread(self, name: str, index: Index) -> None:
         """Have views read the chunk ``index`` of the bake ``name`` again, as the writer has found
         that another process has added light to it.
 
@@ -584,7 +584,7 @@ class Baker:
     def _postpone(self, key: Key) -> None:
         """Postpone a chunk that another baker has claimed, in favour of other chunks."""
         self._queue.put_off(key, POSTPONE_SECONDS)
-        after(POSTPONE_SECONDS, self.stir)
+        after(POSTPONE_SECONDS, self.dispatch)
 
     def _notify(self, scene: str, index: Index, more: bool) -> None:
         """Call all listeners."""

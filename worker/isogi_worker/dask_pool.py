@@ -130,10 +130,11 @@ class DaskPool:
         self._addresses: frozenset[str] = frozenset()
         self._joined = ""
         self._deaths = 0
-        # Called when workers have come or gone; ``attend`` sets it.
-        self._stir: Callable[[], None] = lambda: None
-        # The first wakes the pool's thread when workers come or go; the second ends it.
-        self._moved = threading.Event()
+        # Called when workers have come or gone; ``on_workers_changed`` sets it.
+        self._workers_changed: Callable[[], None] = lambda: None
+        # ``_notified`` wakes the pool's thread when the scheduler says that workers have come or
+        # gone; ``_closing`` ends it.
+        self._notified = threading.Event()
         self._closing = threading.Event()
         # Tasks in flight by Dask's key, and those that had ended at the last check.
         self._open: dict[Any, tuple[Future[Any], Done]] = {}
@@ -145,8 +146,8 @@ class DaskPool:
         except Exception as error:
             kind = WorkersAwayError if isinstance(error, OSError) else WorkersError
             raise kind(f"Cannot start or reach the workers: {error}") from error
-        self._keeper = threading.Thread(target=self._keep, name="workers", daemon=True)
-        self._keeper.start()
+        self._thread = threading.Thread(target=self._run, name="workers", daemon=True)
+        self._thread.start()
 
     @property
     def workers(self) -> int:
@@ -179,9 +180,9 @@ class DaskPool:
             return NO_WORKER_JOINED.format(scheduler=self._scheduler)
         return ""
 
-    def attend(self, stir: Callable[[], None]) -> None:
-        """Call ``stir``, from another thread, whenever workers have come or gone."""
-        self._stir = stir
+    def on_workers_changed(self, callback: Callable[[], None]) -> None:
+        """Call ``callback``, from another thread, whenever workers have come or gone."""
+        self._workers_changed = callback
 
     def submit(self, task: BakeTask, done: Done) -> None:
         """Hand a task over; ``done`` is called from another thread with its result or its error."""
@@ -208,8 +209,8 @@ class DaskPool:
     def close(self) -> None:
         """Leave the scheduler and its workers."""
         self._closing.set()
-        self._moved.set()
-        self._keeper.join()
+        self._notified.set()
+        self._thread.join()
         # The scheduler may be away; else it would tell a client that leaves of its leaving.
         with suppress(Exception):
             self._client.unsubscribe_topic("all")
@@ -250,25 +251,26 @@ class DaskPool:
     def _on_event(self, event: tuple[float, Any]) -> None:
         """Wake the pool's thread if an event of the scheduler says that workers came or went."""
         if isinstance(event[1], dict) and event[1].get("action") in ("add-worker", "remove-worker"):
-            self._moved.set()
+            self._notified.set()
 
-    def _keep(self) -> None:
-        """Keep track of the workers until the pool is closed; join the scheduler again after it was
-        lost. Runs in a thread.
+    def _run(self) -> None:
+        """Keep the list of workers up to date until the pool is closed, and join the scheduler
+        again after it was lost. Runs in a thread.
 
-        Events may be lost, so the number of workers is polled, too.
+        Events of the scheduler may be lost, so its number of workers is asked for every
+        CHECK_SECONDS, too.
         """
         while not self._closing.is_set():
-            moved = self._moved.wait(CHECK_SECONDS)
-            self._moved.clear()
+            notified = self._notified.wait(CHECK_SECONDS)
+            self._notified.clear()
             try:
-                self._look_after()
+                self._report_unnoticed_ends()
                 info = self._client.scheduler_info(n_workers=0) if self.connected else {}
                 # A restarted scheduler has a new id, and one that is away has none.
                 if info.get("id") != self._joined:
                     self._join_again()
-                elif moved or info["n_workers"] != len(self._addresses):
-                    self._count()
+                elif notified or info["n_workers"] != len(self._addresses):
+                    self._list_workers()
             except Exception as error:
                 log.debug("the scheduler is away: %s", error)
 
@@ -277,7 +279,7 @@ class DaskPool:
         if (entry := self._open.pop(key, None)) is not None:
             hand_on_result(*entry)
 
-    def _look_after(self) -> None:
+    def _report_unnoticed_ends(self) -> None:
         """Report tasks that had already ended at the last check,
         but for which Dask's callback has not come.
         """
@@ -304,14 +306,14 @@ class DaskPool:
         log.warning(
             "the scheduler at %s is back, with %d workers", self._scheduler, len(self._addresses)
         )
-        self._stir()
+        self._workers_changed()
 
-    def _count(self) -> None:
+    def _list_workers(self) -> None:
         """Count the present workers, by a request to the scheduler."""
         found = addresses(self._client)
         self._deaths += len(self._addresses - found)
         self._addresses = found
-        self._stir()
+        self._workers_changed()
 
 
 def addresses(client: Client) -> frozenset[str]:

@@ -124,7 +124,7 @@ class LocalPool:
         self._kinds = set(kinds)
         self._baked = set[str]()
         self._deaths = 0
-        self._stir: Callable[[], None] = lambda: None
+        self._workers_changed: Callable[[], None] = lambda: None
         self._waiting: deque[Sent] = deque()
         self._ahead: deque[tuple[LocalWorker, Sent]] = deque()
         self._workers: list[LocalWorker] = []
@@ -143,8 +143,8 @@ class LocalPool:
         except Exception as error:
             self._end(0.0)
             raise WorkersError(f"Cannot start the workers: {error}") from error
-        self._keeper = threading.Thread(target=self._keep, name="workers", daemon=True)
-        self._keeper.start()
+        self._thread = threading.Thread(target=self._run, name="workers", daemon=True)
+        self._thread.start()
 
     @property
     def workers(self) -> int:
@@ -178,9 +178,9 @@ class LocalPool:
             return WORKERS_COMPILE
         return ""
 
-    def attend(self, stir: Callable[[], None]) -> None:
-        """Call ``stir``, from another thread, whenever workers have come or gone."""
-        self._stir = stir
+    def on_workers_changed(self, callback: Callable[[], None]) -> None:
+        """Call ``callback``, from another thread, whenever workers have come or gone."""
+        self._workers_changed = callback
 
     def submit(self, task: BakeTask, done: Done) -> None:
         """Hand a task over; ``done`` is called from another thread with its result or its error."""
@@ -209,7 +209,7 @@ class LocalPool:
         with self._lock:
             self._closed = True
         self._wake()
-        self._keeper.join()
+        self._thread.join()
         left = [*self._waiting, *(sent for worker in self._workers for sent in worker.sent)]
         self._end()
         for sent in left:
@@ -252,12 +252,16 @@ class LocalPool:
         with suppress(OSError):
             self._waker.send_bytes(b"")
 
-    def _keep(self) -> None:
-        """Send jobs, read answers and start workers, until the pool is closed."""
+    def _run(self) -> None:
+        """Send jobs, read answers, and start workers in place of those that died, until the pool is
+        closed. Runs in a thread.
+        """
         while not self._closed:
             self._hand_out()
             answers = {worker.answers: worker for worker in self._workers}
-            # Wait for an answer, for the end of a process, or for other threads.
+            # Wait until a worker answers, a process ends (its pipe is then at its end), or another
+            # thread has work. After RETRY_SECONDS a process that could not be started is tried
+            # again.
             for ready in wait([self._woken, *answers], RETRY_SECONDS):
                 if ready is self._woken:
                     self._woken.recv_bytes()
@@ -295,7 +299,7 @@ class LocalPool:
         # The first answer says that the process is ready.
         if not worker.here:
             worker.here = True
-            self._stir()
+            self._workers_changed()
             return
         sent = worker.sent.popleft()
         try:
@@ -319,7 +323,7 @@ class LocalPool:
         log.warning("the worker process %d has died", worker.pid)
         if at_work is not None:
             report(at_work, None, LostWorkerError("the process that was to bake it died."))
-        self._stir()
+        self._workers_changed()
 
     def _replace(self) -> None:
         """Start processes in place of those that died."""

@@ -57,8 +57,8 @@ class WorkerPool(Protocol):
     def preparing(self) -> str:
         """A sentence for users if the workers compile kernels before they can bake, else empty."""
 
-    def attend(self, stir: Callable[[], None]) -> None:
-        """Call ``stir``, from another thread, whenever workers have come or gone."""
+    def on_workers_changed(self, callback: Callable[[], None]) -> None:
+        """Call ``callback``, from another thread, whenever workers have come or gone."""
 
     def submit(self, task: BakeTask, done: Done) -> None:
         """Hand a task over; ``done`` is called from another thread with its result or its error."""

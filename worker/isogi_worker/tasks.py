@@ -337,8 +337,10 @@ that nothing derived from its voxels depends on.
 def opened(source: SceneSource) -> PreparedScene:
     """Open a scene from its files.
 
-    It shares derived data with an open scene of the same volume, if there is one.
+    If a scene that differs only in settings that do not change its voxels is open, the new one
+    shares the voxels, and all that is derived from them.
     """
+    # Two scenes share voxels if all other settings are equal.
     rest = {
         key: value
         for key, value in source.document.items()
@@ -400,8 +402,10 @@ def open_whole(
     store_url: StoreUrl,
     assets: Assets | None,
 ) -> WholeLight | None:
-    """Return the light of the whole that a bake's scene was cut from,
-    opened once a process; None if the cut can keep none of it.
+    """Return the light of the ``whole``, the scene before its volume was cut, of which the bake of
+    the cut scene keeps the light that the cut does not change; None if there is none.
+
+    It is opened once a process. The other arguments describe the bake of the cut scene.
     """
     spec = BakeSpec(prepared_scene(whole.source, whole.assets, store_url), plan)
     cut, _ = open_spec(source, plan, digest, store_url, assets)

@@ -17,8 +17,8 @@ from isogi_worker.tasks import BakeResult, BakeTask, Unwritten, WriteTask, Writt
 if TYPE_CHECKING:
     from isogi_worker.pool import WorkerPool
 
-LOOK_SECONDS = 0.25
-"""Seconds between two looks for light that is to be written."""
+CHECK_SECONDS = 0.25
+"""Seconds between two checks for light that is to be written."""
 
 WRITE_CHUNKS = 32
 """Most chunks of one task: about 0.1 s of a worker."""
@@ -39,9 +39,9 @@ log = logging.getLogger("isogi.worker")
 
 
 @dataclass(frozen=True, eq=False)
-class Kept:
-    """The ``light`` in memory of the bake ``name``, and a task of it,
-    ``like``, from which write tasks take the description of the bake.
+class BakeLight:
+    """The ``light`` in memory of the bake ``name``, and the last task of that bake, ``like``, from
+    which write tasks take the description of the bake.
     """
 
     name: str
@@ -49,27 +49,29 @@ class Kept:
     like: BakeTask
 
 
-Told = Callable[[str, Index], None]
-"""A function that is called with the name of a bake
-and a chunk at which another writer was found.
+Contended = Callable[[str, Index], None]
+"""A function that is called with the name of a bake, and a chunk of it to which another process
+has written, too.
 """
 
 
 class LightWriter:
     """Has the workers of a ``pool`` write light. Safe to use from many threads."""
 
-    def __init__(self, pool: "WorkerPool", told: Told, stir: Callable[[], None]) -> None:
+    def __init__(
+        self, pool: "WorkerPool", contended: Contended, recovered: Callable[[], None]
+    ) -> None:
         """Begin without light.
 
-        ``told`` is called for chunks at which another writer was found, ``stir`` when the store
-        takes light again.
+        ``contended`` is called for chunks to which another process has written, too, ``recovered``
+        if the store takes light again after it took none.
         """
         self.reason = ""
         """The reason if light cannot be written, else empty."""
         self._pool = pool
-        self._told = told
-        self._stir = stir
-        self._kept: dict[str, Kept] = {}
+        self._contended = contended
+        self._recovered = recovered
+        self._bakes: dict[str, BakeLight] = {}
         self._writing: set[tuple[str, Index]] = set()
         self._failures: dict[tuple[str, Index], int] = {}
         self._wait = SHORTEST_RETRY
@@ -80,39 +82,41 @@ class LightWriter:
         """Keep in memory the light that a task of the bake ``name`` has brought."""
         if result.chunk is not None:
             light.put(result.chunk, result.changed)
-            self._kept[task.digest] = Kept(name, light, replace(task, light=None))
+            self._bakes[task.digest] = BakeLight(name, light, replace(task, light=None))
 
-    def look(self, wanted: Callable[[str], set[Index]]) -> None:
-        """Begin to write light that is due.
+    def write_due(self, wanted: Callable[[str], set[Index]]) -> None:
+        """Begin to write light that rests, or that has waited long enough: see ``FreshLight.due``.
 
-        ``wanted`` gives the chunks of a bake that are still baked: their light does not rest.
+        ``wanted`` gives the chunks of a bake for which more light is requested: their light does
+        not rest yet.
         """
+        # After a failure of the store, write nothing until the next try.
         if time.monotonic() >= self._retry:
-            for kept in list(self._kept.values()):
-                self._write(kept, kept.light.due(wanted(kept.name).__contains__))
+            for lit in list(self._bakes.values()):
+                self._write(lit, lit.light.due(wanted(lit.name).__contains__))
 
     def sweep(self, busy: Callable[[str, Index], bool]) -> None:
         """Forget light that was written long ago, except chunks with tasks, which are ``busy``."""
-        for kept in list(self._kept.values()):
-            kept.light.sweep(partial(busy, kept.name))
+        for lit in list(self._bakes.values()):
+            lit.light.sweep(partial(busy, lit.name))
 
-    def write(self) -> None:
+    def write_all(self) -> None:
         """Begin to write all light."""
         if time.monotonic() < self._retry:
             return
-        for kept in list(self._kept.values()):
-            self._write(kept, kept.light.unwritten())
+        for lit in list(self._bakes.values()):
+            self._write(lit, lit.light.unwritten())
 
     def finish(self, seconds: float = LAST_SECONDS) -> None:
         """Write all light, and return when that is done,
         or when the store takes none, or after ``seconds``.
         """
-        # Begin again after each look: tasks that were in flight bring light, and writes fail.
+        # Write again after each wait: tasks that were in flight bring light, and writes fail.
         deadline = time.monotonic() + seconds
         while self.unwritten and not self.reason and time.monotonic() < deadline:
-            self.write()
+            self.write_all()
             with self._changed:
-                self._changed.wait(LOOK_SECONDS)
+                self._changed.wait(CHECK_SECONDS)
         if self.unwritten:
             log.error(
                 "the light of %d chunks is not written, and will be baked again: %s",
@@ -123,16 +127,16 @@ class LightWriter:
     @property
     def unwritten(self) -> int:
         """Number of chunks with light that is not written."""
-        return sum(len(kept.light.unwritten()) for kept in list(self._kept.values()))
+        return sum(len(lit.light.unwritten()) for lit in list(self._bakes.values()))
 
-    def _write(self, kept: Kept, due: Iterable[Fresh]) -> None:
+    def _write(self, lit: BakeLight, due: Iterable[Fresh]) -> None:
         """Hand over tasks that write the ``due`` chunks of a bake, except those that are being
         written already.
 
         Does not wait for them: ``_end`` is called with the outcome of each task, from another
         thread.
         """
-        like = kept.like
+        like = lit.like
         with self._changed:
             free = [each for each in due if (like.digest, each.chunk.index) not in self._writing]
             self._writing |= {(like.digest, each.chunk.index) for each in free}
@@ -147,11 +151,11 @@ class LightWriter:
         groups += [rest[i : i + WRITE_CHUNKS] for i in range(0, len(rest), WRITE_CHUNKS)]
         for some in groups:
             chunks = tuple(Unwritten(each.chunk, each.changed) for each in some)
-            self._pool.write(WriteTask(*place, chunks), partial(self._end, kept, some))
+            self._pool.write(WriteTask(*place, chunks), partial(self._end, lit, some))
 
     def _end(
         self,
-        kept: Kept,
+        lit: BakeLight,
         some: Sequence[Fresh],
         outcomes: Sequence[Written] | None,
         error: BaseException | None,
@@ -160,20 +164,22 @@ class LightWriter:
         met = [
             each.chunk.index
             for number, each in enumerate(some)
-            if self._settle(kept, each, error if outcomes is None else outcomes[number])
+            if self._settle(lit, each, error if outcomes is None else outcomes[number])
         ]
         with self._changed:
-            self._writing -= {(kept.like.digest, each.chunk.index) for each in some}
+            self._writing -= {(lit.like.digest, each.chunk.index) for each in some}
             self._changed.notify_all()
         for index in met:
-            self._told(kept.name, index)
+            self._contended(lit.name, index)
 
-    def _settle(self, kept: Kept, fresh: Fresh, outcome: Written | BaseException | None) -> bool:
+    def _settle(
+        self, lit: BakeLight, fresh: Fresh, outcome: Written | BaseException | None
+    ) -> bool:
         """Note the outcome of writing one chunk; return True if another writer was found at it."""
         index = fresh.chunk.index
-        key = kept.like.digest, index
+        key = lit.like.digest, index
         if isinstance(outcome, bool):
-            kept.light.written(fresh)
+            lit.light.written(fresh)
             self._failures.pop(key, None)
             self._recover()
             return outcome
@@ -183,9 +189,9 @@ class LightWriter:
             self._pause(str(outcome))
         elif not isinstance(outcome, WorkersAwayError):
             self._failures[key] = self._failures.get(key, 0) + 1
-            log.warning("writing chunk %s of %s failed: %s", index, kept.name, outcome)
+            log.warning("writing chunk %s of %s failed: %s", index, lit.name, outcome)
             if self._failures[key] >= MOST_FAILURES:
-                kept.light.drop(index)
+                lit.light.drop(index)
                 self._failures.pop(key)
         return False
 
@@ -209,4 +215,4 @@ class LightWriter:
         if self.reason:
             self.reason = ""
             self._retry = 0.0
-            self._stir()
+            self._recovered()

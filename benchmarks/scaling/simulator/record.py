@@ -56,7 +56,7 @@ def record(scene: Scene, views: int, size: int, target: float) -> Recording:
         asked = [engine.survey(scene.id, view, target) for view in shots]
         for shot in asked:
             baker.request(scene.id, shot.demands, target, GUEST_VIEWER)
-        baker.employ(cast(WorkerPool, notebook))
+        baker.use_pool(cast(WorkerPool, notebook))
         for view in shots:
             bake(engine, baker, scene, view, target)
         frame = statistics.median(seconds_of(engine, scene, view, target) for view in shots)

@@ -118,7 +118,7 @@ def site(recording: Recording, conditions: Conditions, scenes: Iterable[str], se
             scene, Bake(source, PLAN, scene, frozenset({scene}), NOWHERE, lambda _: None, costs)
         )
     baker.listen(world.news)
-    baker.employ(cast(WorkerPool, cluster))
+    baker.use_pool(cast(WorkerPool, cluster))
     return Site(world, light, baker, cluster, chance)
 
 

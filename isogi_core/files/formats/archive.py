@@ -28,9 +28,8 @@ NO_VOLUMES = ("__MACOSX", "DICOMDIR", "Thumbs.db", "desktop.ini")
 
 class Archive:
     """The files of a ZIP ``file``, which stays open, and is closed with this if that is its
-    ``owner``; ``name`` is for messages.
-
-    They unpack to what so many ``voxels`` may take, at most. Raises VolumeError.
+    ``owner``; ``name`` is for messages. They may unpack to as many bytes as ``voxels`` voxels take.
+    Raises VolumeError.
     """
 
     def __init__(self, file: IO[bytes], name: str, voxels: int, owner: bool = False) -> None:
@@ -62,7 +61,7 @@ class Archive:
 
     @contextmanager
     def opened(self, path: Path) -> Iterator[IO[bytes]]:
-        """One of its files, at its beginning. Raises VolumeError where there is none."""
+        """Yield one of its files, at its beginning. Raises VolumeError if there is none."""
         member = self._members.get(path)
         if member is None:
             raise VolumeError(f"There is no file '{path}' in '{self._name}': add it.")
@@ -74,7 +73,9 @@ class Archive:
 
 
 def _may_show(member: zipfile.ZipInfo) -> bool:
-    """Whether a file is not one that a system left there, nor a folder."""
+    """Return True for a file that may be a volume: no folder, and no file that a system
+    left there.
+    """
     parts = Path(member.filename).parts
     return not member.is_dir() and not any(
         part.startswith(".") or part in NO_VOLUMES for part in parts

@@ -1,5 +1,5 @@
-"""Arrays: NumPy's own files, .npy and .npz, and bare voxels, whose sizes and type a file's name or
-a person says.
+"""Arrays: NumPy's files, .npy and .npz, and bare voxels, whose sizes and type are in the file's
+name, or are given.
 """
 
 import math
@@ -34,7 +34,8 @@ from isogi_core.files.packed_files import read_end
 def open_numpy(source: Source) -> Grid:
     """Open an array (z, y, x) as a grid: only its header is read now. Raises VolumeError.
 
-    Of four or five dimensions, the first choose; a last one of three or four bytes is a colour.
+    If it has four or five dimensions, ``pick_axes`` chooses an index along each of the first ones.
+    A last dimension of three or four bytes holds colours.
     """
     with _array(source) as file:
         shape, _, dtype = _array_header(file)
@@ -51,7 +52,7 @@ def open_numpy(source: Source) -> Grid:
     source.check(field[-3:])
     slabs = partial(_array_slabs, source, picked, coloured)
     notes = (LUMINANCE_NOTE,) if coloured else ()
-    known = read_as("NumPy", dtype)
+    # The luminance of colours is a real number.
     if coloured:
         values = np.dtype(np.float32)
     else:
@@ -64,13 +65,13 @@ def open_numpy(source: Source) -> Grid:
         source.stamp,
         notes=notes,
         moment=moment,
-        read_as=known,
+        read_as=read_as("NumPy", dtype),
     )
 
 
 @contextmanager
 def _array(source: Source) -> Iterator[IO[bytes]]:
-    """The file of an array, at its beginning."""
+    """Yield the file of an array, at its beginning."""
     with source.open() as file:
         if file.read(4) != ZIP_MAGIC:
             file.seek(0)
@@ -92,7 +93,7 @@ def _array(source: Source) -> Iterator[IO[bytes]]:
 
 
 def _array_header(file: IO[bytes]) -> tuple[Shape, bool, np.dtype[Any]]:
-    """Shape, order and type of an array, whose values come next."""
+    """Return shape, order and type of an array, whose values come next."""
     version = np.lib.format.read_magic(file)
     if version == (1, 0):
         read = np.lib.format.read_array_header_1_0
@@ -103,7 +104,7 @@ def _array_header(file: IO[bytes]) -> tuple[Shape, bool, np.dtype[Any]]:
 
 
 def _array_slabs(source: Source, picked: tuple[int, ...], coloured: bool) -> Iterator[np.ndarray]:
-    """Some layers at a time; the whole at once where the first index is the fastest."""
+    """Yield some layers at a time; the whole at once if the first index is the fastest."""
     with _array(source) as file:
         shape, fortran, dtype = _array_header(file)
         inner = shape[len(picked) :]
@@ -144,11 +145,13 @@ _ORDERS = {"little": "<", "le": "<", "lsb": "<", "big": ">", "be": ">", "msb": "
 _SIZES = re.compile(r"(\d{1,7})x(\d{1,7})x(\d{1,7})")
 
 RAW_EXAMPLE = "raw = '256x256x128,uint8,little'"
-"""What sizes along x, y, z, a type and a byte order look like."""
+"""An example of sizes along x, y, z, a type and a byte order."""
 
 
 def is_raw(name: str) -> bool:
-    """Whether a file seems to be bare voxels by its ``name``, which has their sizes in it."""
+    """Return True if a file seems to be bare voxels by its ``name``, which has their
+    sizes in it.
+    """
     path = PurePath(name.lower())
     if path.suffix in PACKED_SUFFIXES:
         bare = path.with_suffix("")
@@ -192,14 +195,12 @@ def open_raw(source: Source) -> Grid:
 
 
 def _words(name: str) -> list[str]:
-    """The words of a file's name."""
+    """Return the words of a file's name."""
     return [word for word in re.split(r"[^a-z0-9]+", PurePath(name).name.lower()) if word]
 
 
 def _read(source: Source, words: Sequence[str], given: str) -> tuple[Shape, np.dtype[Any]]:
-    """The shape (z, y, x) and the type that words say; bytes where the file has as many as voxels,
-    and no type.
-    """
+    """Return the shape (z, y, x) and the type that words name. Without a type voxels are bytes."""
     plain = [word.strip().lower() for word in words]
     sizes = next((match for word in plain if (match := _SIZES.fullmatch(word))), None)
     kind = next((_TYPES[word] for word in plain if word in _TYPES), "")
@@ -217,7 +218,7 @@ def _read(source: Source, words: Sequence[str], given: str) -> tuple[Shape, np.d
 
 
 def _check_length(source: Source, shape: Shape, dtype: np.dtype[Any]) -> None:
-    """Raise VolumeError where the file has other bytes than its voxels take."""
+    """Raise VolumeError if the file has more or fewer bytes than its voxels take."""
     with source.open() as file:
         length = file.seek(0, 2)
         size = math.prod(shape) * dtype.itemsize

@@ -66,7 +66,7 @@ def open_nifti(source: Source) -> Grid:
 
 
 def _nifti_header(nib: Any, source: Source) -> Any:
-    """The header, of whichever version and byte order."""
+    """Return the header, of either version and byte order."""
     with source.unpacked() as file:
         head = file.read(348)
     one = 348 in (int.from_bytes(head[:4], order) for order in ("little", "big"))
@@ -97,7 +97,7 @@ PAIR_ENDINGS = re.compile(r"\.(?:hdr|img)(\.gz|\.bz2)?$", re.IGNORECASE)
 
 
 def beside(path: Path, end: str) -> Path | None:
-    """The other file of a pair, whose name ends in ``.hdr`` or ``.img``; None where there is
+    """Return the other file of a pair, whose name ends in ``.hdr`` or ``.img``; None if there is
     none.
     """
     stem = PAIR_ENDINGS.sub("", path.name)
@@ -111,7 +111,7 @@ def beside(path: Path, end: str) -> Path | None:
 
 
 def image_beside(source: Source) -> Path:
-    """The file with the voxels of a header. VolumeError where there is none."""
+    """Return the file with the voxels of a header. Raises VolumeError if there is none."""
     assert source.path is not None, "a pair has paths"
     found = beside(source.path, ".img")
     if found is None:
@@ -123,7 +123,9 @@ def image_beside(source: Source) -> Path:
 
 
 def _placed_by(header: Any) -> str:
-    """Which of its two transforms says where a file lies: the sform, where there is one."""
+    """Name the one of its two transforms that places a file: the sform, if there is one; empty if
+    neither does.
+    """
     if int(header["sform_code"]):
         return "its sform"
     if int(header["qform_code"]):
@@ -132,7 +134,7 @@ def _placed_by(header: Any) -> str:
 
 
 def _placed_by_header(grid: Grid, header: Any) -> Grid:
-    """The grid with the affine that the header prefers, in a patient's right, anterior,
+    """Return the grid with the affine map that the header prefers, in a patient's right, anterior,
     superior.
     """
     sform, qform = int(header["sform_code"]), int(header["qform_code"])
@@ -160,10 +162,10 @@ def _grid_of(
     shape: Shape = (),
     scalings: Sequence[Scaling] = (),
 ) -> Grid:
-    """The grid of one of nibabel's headers, whose ``voxels`` may be in another file, without its
-    place in the world.
+    """Return the grid of one of nibabel's headers, without its place in the world. Its ``voxels``
+    may be in another file.
 
-    It has a ``shape``, and ``scalings`` of its fields, where the header does not say these itself.
+    ``shape`` and the ``scalings`` of its fields are given if the header does not have them.
     """
     shape = tuple(int(n) for n in shape or header.get_data_shape())
     dtype = header.get_data_dtype()
@@ -197,7 +199,7 @@ def _grid_of(
 
 
 def _scaling_of(header: Any) -> Scaling:
-    """Slope and intercept of one of nibabel's headers."""
+    """Return slope and intercept of one of nibabel's headers."""
     slope, intercept = header.get_slope_inter()
     if slope is None or slope == 0.0:
         return Scaling()
@@ -207,7 +209,7 @@ def _scaling_of(header: Any) -> Scaling:
 def _frame_of(
     source: Source, shape: Shape
 ) -> tuple[tuple[int, bool], int, int, tuple[int, int, int]]:
-    """The step in time, as of ``pick_step``, the channel, how many steps there are, and the size
+    """Return the step in time, as of ``pick_step``, the channel, the number of steps, and the size
     along x, y, z.
     """
     nx, ny, nz, *extra = (*shape, *(1,) * (3 - len(shape)))
@@ -226,7 +228,9 @@ def _frame_of(
 def _field_slabs(
     voxels: Source, start: int, shape: Shape, dtype: np.dtype[Any], scaling: Scaling
 ) -> Iterator[np.ndarray]:
-    """The voxels (z, y, x) from a byte on, some layers at a time, scaled; luminance of colours."""
+    """Yield the voxels (z, y, x) from a byte on, some layers at a time, scaled; luminance of
+    colours.
+    """
     for slab in raw_slabs(voxels, start, shape, dtype):
         if dtype.names:
             yield luminance_of_colours(np.stack([slab[name] for name in dtype.names], axis=-1))
@@ -276,7 +280,7 @@ AFNI_ENDINGS = re.compile(r"\.(?:HEAD|BRIK)(\.gz|\.bz2)?$")
 
 
 def afni_header(path: Path) -> Path | None:
-    """The header of AFNI's voxels; None where a file is none, or has no header beside it."""
+    """Return the header of AFNI's voxels; None if a file is none, or has no header next to it."""
     header = path.with_name(AFNI_ENDINGS.sub(".HEAD", path.name))
     if ".BRIK" in path.name and header != path and header.is_file():
         return header
@@ -360,7 +364,7 @@ def open_minc(source: Source) -> Grid:
 
 @contextmanager
 def _image(source: Source) -> Iterator[Any]:
-    """What nibabel makes of the file."""
+    """Yield the file as an image of nibabel."""
     with source.open() as file:
         begins = file.read(len(MINC1_MAGIC))
         file.seek(0)
@@ -377,7 +381,7 @@ def _image(source: Source) -> Iterator[Any]:
 def _image_slabs(
     source: Source, picked: tuple[int, ...], shape: Shape, dtype: np.dtype[Any]
 ) -> Iterator[np.ndarray]:
-    """Some layers at a time, scaled to the range that each slice says."""
+    """Yield some layers at a time, scaled to the range that each slice gives."""
     with _image(source) as image:
         step = slab_layers(shape[1] * shape[2] * 8)
         for z in range(0, shape[0], step):

@@ -45,8 +45,8 @@ DECODER_PACKAGES = {
     "JPEG 2000": "pylibjpeg pylibjpeg-openjpeg",
     "JPEG": "python-gdcm",
 }
-"""What to install for pixels packed in some way, by a part of its name; all under free licences
-without conditions.
+"""Packages to install for pixels that are packed in some way, by a part of its name; all under free
+licences without conditions.
 """
 
 DICOM_TO_RAS = np.diag([-1.0, -1.0, 1.0])
@@ -104,11 +104,9 @@ Headers = list[tuple[Path | None, Any]]
 
 @dataclass(frozen=True)
 class Place:
-    """Where the pixels of a slice are: a file, None for an upload, and the number of the frame in
-    it.
-
-    In a segmentation they are those of a ``segment``, which are then its number; in a mosaic those
-    of a ``tile``.
+    """The place of a slice's pixels: a file, None for an upload, and the number of the frame in it.
+    In a segmentation they are those of a ``segment``, whose number they get; in a mosaic those of a
+    ``tile``.
     """
 
     path: Path | None
@@ -118,7 +116,7 @@ class Place:
 
 
 def is_dicom(head: bytes) -> bool:
-    """Whether a file begins as DICOM does, after its preamble."""
+    """Return True if a file begins as DICOM does, after its preamble."""
     return head[128:132] == b"DICM"
 
 
@@ -206,7 +204,7 @@ def _stamp_of_files(source: Source, files: list[Path]) -> str:
 
 
 def _check_inflated(source: Source) -> None:
-    """Raise VolumeError where an upload inflates to more than its voxels may be: pydicom does that
+    """Raise VolumeError if an upload inflates to more than its voxels may take: pydicom inflates
     all at once.
     """
     if source.path is not None or source.is_folder:
@@ -235,7 +233,7 @@ PIXEL_TAGS = {
     0x7FE00009: "DoubleFloatPixelData",
     0x7FE00010: "PixelData",
 }
-"""Tags of pixels, and what DICOM calls them: the tag says whether they are whole numbers."""
+"""Tags of pixels, and DICOM's names of them: the tag says if they are whole numbers."""
 
 
 def _read_header(source: Source) -> Any:
@@ -259,7 +257,7 @@ def _read_header(source: Source) -> Any:
 
 
 def _headers(source: Source) -> Iterator[tuple[Path | None, Any]]:
-    """The headers of all images in a folder; files that are none are passed over."""
+    """Yield the headers of all images in a folder; other files are passed over."""
     for path in source.paths:
         file = source.at(path)
         if not may_be_dicom(file):
@@ -271,8 +269,8 @@ def _headers(source: Source) -> Iterator[tuple[Path | None, Any]]:
 
 
 def may_be_dicom(source: Source) -> bool:
-    """Whether a file has DICOM's mark, or begins with a tag of its first groups: the mark was not
-    always written.
+    """Return True if a file has DICOM's mark, or begins with a tag of its first groups, as the mark
+    was not always written.
     """
     with source.open() as file:
         head = file.read(132)
@@ -280,8 +278,8 @@ def may_be_dicom(source: Source) -> bool:
 
 
 def _series(source: Source, headers: Any) -> Headers:
-    """The images of the series that is chosen: one of several must be. Orientation and size divide
-    a series too.
+    """Return the images of the series that is chosen: one of several must be. Orientation and size
+    divide a series, too.
     """
     groups: dict[tuple[Any, ...], Headers] = {}
     for path, header in headers:
@@ -306,7 +304,7 @@ def _series(source: Source, headers: Any) -> Headers:
 
 
 def _about(series: Headers) -> str:
-    """A series for a person."""
+    """Describe a series in words."""
     header = series[0][1]
     frames = sum(int(each.get("NumberOfFrames") or 1) for _, each in series)
     described = str(header.get("SeriesDescription", "") or "without a name")[:40]
@@ -314,7 +312,7 @@ def _about(series: Headers) -> str:
 
 
 def _slices_of(name: str, path: Path | None, header: Any) -> Iterator[Slice]:
-    """The slices in a file: its only one, each of its frames, or each tile of its mosaic."""
+    """Yield the slices in a file: its only one, each of its frames, or each tile of its mosaic."""
     if is_mosaic(header):
         yield from _tiles_of(name, path, header)
         return
@@ -328,7 +326,7 @@ def _slices_of(name: str, path: Path | None, header: Any) -> Iterator[Slice]:
 
 
 def _tiles_of(name: str, path: Path | None, header: Any) -> Iterator[Slice]:
-    """The slices of a mosaic, which follow along its normal."""
+    """Yield the slices of a mosaic, which follow each other along its normal."""
     mosaic = mosaic_of(name, header)
     whole = _slice(Place(path, 0), header, [])
     for n, tile in enumerate(mosaic.tiles):
@@ -347,7 +345,7 @@ def _tiles_of(name: str, path: Path | None, header: Any) -> Iterator[Slice]:
 
 
 def _slice(place: Place, header: Any, groups: list[Any]) -> Slice:
-    """One slice, by what its frame's groups say, else the header."""
+    """Return one slice, by the functional groups of its frame, else by the header."""
     read = partial(_frame_value, header, groups)
     position = read("PlanePositionSequence", "ImagePositionPatient")
     pose = _floats(read("PlaneOrientationSequence", "ImageOrientationPatient"))
@@ -384,10 +382,8 @@ def _shifted(
     frame: int,
     alone: bool,
 ) -> tuple[float, ...] | None:
-    """The position of a frame that lies so far from the first along the normal, as those of dose
-    grids do.
-
-    None where it is not ``alone`` with a position that is one for all.
+    """Return the position of a frame that is shifted from the first along the normal, as those of
+    dose grids are. None if it is not ``alone`` and shares one position with all others.
     """
     if position is None or pose is None or not offsets:
         return position if alone else None
@@ -398,7 +394,7 @@ def _shifted(
 
 
 def _frame_value(header: Any, groups: list[Any], sequence: str, name: str) -> Any:
-    """A value of the frame's own groups, else of the shared ones, else of the header; None where
+    """Return a value of the groups of a frame, else of the shared ones, else of the header; None if
     none has it.
     """
     for group in groups:
@@ -415,7 +411,7 @@ def _floats(values: Any) -> tuple[float, ...] | None:
 
 
 def _stored_type(header: Any) -> np.dtype[Any]:
-    """The type of stored values."""
+    """Return the type of stored values."""
     if "FloatPixelData" in header or "DoubleFloatPixelData" in header:
         return np.dtype(np.float32 if "FloatPixelData" in header else np.float64)
     if int(header.get("PixelRepresentation", 0)):
@@ -426,7 +422,7 @@ def _stored_type(header: Any) -> np.dtype[Any]:
 
 
 def _value_type(packings: set[Packing], floating: bool) -> np.dtype[Any]:
-    """The type of values: one for all slices, whatever their slopes."""
+    """Return the type of values: one for all slices, whatever their slopes."""
     found = np.result_type(*(each.dtype for each in packings))
     if floating:
         return np.result_type(found, np.float32)
@@ -434,10 +430,8 @@ def _value_type(packings: set[Packing], floating: bool) -> np.dtype[Any]:
 
 
 def _rescaling(header: Any, scaling: Scaling) -> Packing:
-    """What stored pixels of an image mean; those of a value, or of a range, that says "no pixel"
-    are holes.
-
-    Source: DICOM PS3.3, C.7.5.1.1.2. Colours and labels have no such value.
+    """Return the packing of an image's pixels; those of a value, or of a range, that says "no
+    pixel" are holes. Source: DICOM PS3.3, C.7.5.1.1.2. Colours and labels have no such value.
     """
     if is_segmentation(header):
         return Packing(np.dtype(np.uint16))
@@ -451,7 +445,7 @@ def _rescaling(header: Any, scaling: Scaling) -> Packing:
 
 
 def _padding(header: Any, stored: np.dtype[Any], end: str) -> float | None:
-    """The padding value of an image, or the limit of its range; None where it has none."""
+    """Return the padding value of an image, or the limit of its range; None if it has none."""
     prefix = {"f4": "Float", "f8": "DoubleFloat"}.get(stored.str[1:], "")
     value = header.get(f"{prefix}PixelPadding{end}")
     if isinstance(value, bytes):  # where the file leaves its type to that of the pixels
@@ -467,8 +461,8 @@ Layer = tuple[tuple[tuple[Place, ...], float, Packing], ...]
 def _layers(
     source: Source, layers: tuple[Layer, ...], shape: tuple[int, int, int], dtype: np.dtype[Any]
 ) -> Iterator[np.ndarray]:
-    """The layers of a stack, one at a time; (1, rows, columns) each; where no slice is, NaN, or 0
-    of whole numbers.
+    """Yield the layers of a stack, one at a time; (1, rows, columns) each. Layers without a slice
+    are NaN, or 0 if values are whole numbers.
     """
     frames = Frames(source)
     for layer in layers:
@@ -501,7 +495,9 @@ class Frames:
         self._file: tuple[Path | None, Any] | None = None
 
     def pixels(self, place: Place) -> np.ndarray:
-        """Stored values of a slice, in full signed or unsigned range; luminance of colours."""
+        """Return the stored values of a slice, in full signed or unsigned range; luminance of
+        colours.
+        """
         found = next((pixels for known, pixels in self._kept if known == place), None)
         if found is None:
             found = self._decoded(place)
@@ -546,7 +542,7 @@ class Frames:
 
 
 def used_bits(values: np.ndarray, header: Any) -> np.ndarray:
-    """Values of the bits that are used alone: others may hold anything, such as an overlay."""
+    """Return values without their unused bits, which may hold anything, such as an overlay."""
     allocated = int(header.BitsAllocated)
     stored = int(header.get("BitsStored", allocated))
     high = int(header.get("HighBit", stored - 1))

@@ -55,7 +55,7 @@ class Mosaic:
 
 
 def is_mosaic(header: Any) -> bool:
-    """Tell whether an image is a mosaic, by its type."""
+    """Return True if an image is a mosaic, by its type."""
     return "MOSAIC" in (header.get("ImageType") or ())
 
 

@@ -21,7 +21,7 @@ EVEN_STEP_SHARE = 0.05
 """Largest part of the usual step by which a step between slices may stray and still be even."""
 
 MAX_LAYERS_PER_SLICE = 8
-"""Most times as many layers as slices, where these are uneven."""
+"""Largest number of layers for each slice, if these are uneven."""
 
 Layers = tuple[tuple[tuple[Any, float, Packing], ...], ...]
 
@@ -48,12 +48,11 @@ class Slice:
 
 @dataclass(frozen=True)
 class Stack:
-    """Layers from first to last: each is mixed of slices by weights, or of none where a slice is
-    missing.
+    """Layers from first to last: each is a weighted mean of slices, or empty if a slice is missing.
 
-    ``affine`` (3, 4) brings voxel indices to the patient's left, posterior, superior, None where
-    that is unknown; ``measured`` says whether the file gives lengths. ``between`` tells that some
-    layer is no slice itself.
+    ``affine`` (3, 4) brings voxel indices to the patient's left, posterior, superior, None if that
+    is unknown. ``measured`` is True if the file gives lengths, ``between`` if some layer is
+    interpolated between slices.
     """
 
     layers: Layers
@@ -70,10 +69,10 @@ Pick = Callable[[int, str], int]
 def stack_of(
     name: str, slices: list[Slice], pick: Pick, sparse: bool = False
 ) -> tuple[Stack, tuple[str, ...]]:
-    """The stack of ``slices`` in any order, with notes on what was mended. Raises VolumeError for
-    what cannot be.
+    """Return the stack of ``slices`` in any order, with notes on all that was mended. Raises
+    VolumeError if they make none.
 
-    Of ``sparse`` ones some are left out as nothing is in them, and none is mixed of two.
+    Of ``sparse`` slices some are left out as nothing is in them: no layer is interpolated.
     """
     distinct = list({each.uid: each for each in slices}.values())
     doubled = len(slices) - len(distinct)
@@ -116,8 +115,8 @@ def _normal(name: str, first: Slice) -> np.ndarray:
 def _one_time(
     name: str, slices: list[Slice], heights: np.ndarray, pick: Pick
 ) -> tuple[list[Slice], np.ndarray]:
-    """The slices of one time step in the order of their heights: where each place has several, one
-    is chosen.
+    """Return the slices of one time step in the order of their heights: if each place has several,
+    one is chosen.
     """
     order = sorted(
         range(len(slices)), key=lambda n: (round(float(heights[n]), 3), slices[n].number)
@@ -136,8 +135,8 @@ def _one_time(
 def _placed(
     name: str, slices: list[Slice], heights: np.ndarray, notes: list[str], sparse: bool
 ) -> tuple[Stack, tuple[str, ...]]:
-    """The stack of slices in order, with layers where steps are even, and mixed ones where they are
-    not.
+    """Return the stack of slices in order, with the slices as layers if steps are even, and
+    interpolated layers if they are not.
     """
     first = slices[0]
     last = slices[-1]
@@ -198,7 +197,7 @@ def _even_step(name: str, steps: np.ndarray, usual: float, count: int) -> tuple[
 
 
 def _with_gaps(slices: list[Slice], steps: np.ndarray) -> Layers:
-    """A layer for each slice, and empty ones where a step is of several."""
+    """Return a layer for each slice, and empty ones in each step that is as long as several."""
     layers: list[tuple[tuple[Any, float, Packing], ...]] = [
         ((slices[0].place, 1.0, slices[0].packing),)
     ]
@@ -209,7 +208,7 @@ def _with_gaps(slices: list[Slice], steps: np.ndarray) -> Layers:
 
 
 def _mixed(slices: list[Slice], heights: np.ndarray, at: np.ndarray) -> Layers:
-    """Layers ``at`` even heights, each of the two slices around it."""
+    """Return layers ``at`` even heights, each interpolated between the two slices around it."""
     layers = []
     for height in at:
         n = int(np.clip(np.searchsorted(heights, height, "right") - 1, 0, len(slices) - 2))
@@ -222,8 +221,8 @@ def _mixed(slices: list[Slice], heights: np.ndarray, at: np.ndarray) -> Layers:
 
 
 def _stack(layers: Layers, first: Slice, last: Slice, usual: float, count: int) -> Stack:
-    """The stack with its affine: the step between layers follows the slices' positions, tilted or
-    not.
+    """Return the stack with its affine map: the step between layers follows the slices' positions,
+    tilted or not.
     """
     x, y = first.pixel or (1.0, 1.0)
     pose = np.array(first.pose)
@@ -238,7 +237,7 @@ def _stack(layers: Layers, first: Slice, last: Slice, usual: float, count: int) 
 
 
 SEGMENT_TAGS = ("SegmentSequence", "SegmentationType", "MaximumFractionalValue")
-"""What is read of a header besides that of other images."""
+"""Tags of a segmentation's header that are read besides those of other images."""
 
 TO_RED_GREEN_BLUE = np.array(
     [
@@ -256,12 +255,12 @@ D50_WHITE = np.array([0.96422, 1.0, 0.82521])
 
 
 def is_segmentation(header: Any) -> bool:
-    """Whether a file is a segmentation."""
+    """Return True if a file is a segmentation."""
     return "SegmentSequence" in header
 
 
 def segments_of(header: Any) -> tuple[LabelName, ...]:
-    """The segments of a segmentation, whose numbers are the labels; a label map may list its
+    """Return the segments of a segmentation, whose numbers are the labels; a label map may list its
     background as 0.
     """
     listed = ((int(each.SegmentNumber), each) for each in header.SegmentSequence)
@@ -277,7 +276,7 @@ def segments_of(header: Any) -> tuple[LabelName, ...]:
 
 
 def _colour_of_segment(lab: Any) -> str:
-    """The sRGB ``#rrggbb`` of CIELab in 16 bits each; empty where there is none. Source: DICOM
+    """Return the sRGB ``#rrggbb`` of CIELab in 16 bits each; empty if there is none. Source: DICOM
     PS3.3, C.10.7.1.1.
     """
     if lab is None or len(lab) != 3:
@@ -292,8 +291,8 @@ def _colour_of_segment(lab: Any) -> str:
 
 
 def segment_in(header: Any, groups: list[Any]) -> int:
-    """The number of the segment that a frame is of, by the ``groups`` of what is said of it; 0
-    where it has numbers.
+    """Return the number of the segment that a frame shows, by its functional ``groups``; 0 if its
+    pixels are numbers of segments.
     """
     if header.get("SegmentationType") == "LABELMAP":
         return 0
@@ -304,10 +303,8 @@ def segment_in(header: Any, groups: list[Any]) -> int:
 
 
 def numbered(pixels: np.ndarray, segment: int, header: Any) -> np.ndarray:
-    """The number of the ``segment`` where a frame has at least half of it, else 0; the numbers of a
-    label map, uint16.
-
-    Pixels of other images stay as they are.
+    """Return the number of the ``segment`` for pixels of which it has at least half, else 0; the
+    numbers of a label map, uint16. Pixels of other images stay as they are.
     """
     if not is_segmentation(header):
         return pixels
@@ -321,7 +318,7 @@ def numbered(pixels: np.ndarray, segment: int, header: Any) -> np.ndarray:
 
 
 def overlaid(slices: list[Slice]) -> list[Slice]:
-    """One slice for all frames at a position, whose places come together."""
+    """Return one slice for all frames at a position: their places are listed together."""
     at: dict[tuple[float, ...] | int, Slice] = {}
     for number, each in enumerate(slices):
         position = number if each.position is None else tuple(round(x, 3) for x in each.position)

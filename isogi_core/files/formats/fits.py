@@ -114,7 +114,9 @@ def _place(header: Any, numbers: Sequence[int], lengths: Sequence[int]) -> Place
 def _slabs(
     source: Source, key: tuple[Any, ...], along: int, shape: Shape, dtype: np.dtype[Any]
 ) -> Iterator[np.ndarray]:
-    """Read some layers at a time, scaled, with holes where the header says there is no number."""
+    """Read some layers at a time, scaled, with holes for values that the header marks as
+    no number.
+    """
     with _image(source) as image:
         step = slab_layers(shape[1] * shape[2] * dtype.itemsize)
         for z in range(0, shape[0], step):

@@ -110,8 +110,8 @@ def open_bdv(source: Source) -> Grid:
 
 
 def _said(source: Source, data: Any) -> Said:
-    """Describe a dataset by the dialect that it is written in, else by the names of its axes and
-    their coordinates.
+    """Return the description of a dataset in its dialect, else by the names of its axes and their
+    coordinates.
     """
     known = next((said for each in DESCRIPTIONS if (said := each(source, data))), Said())
     if known.axes:
@@ -144,8 +144,8 @@ def _scale(data: Any, axis: int) -> Any:
 
 
 def _role(data: Any, axis: int, scale: Any) -> str:
-    """Tell which axis a dimension is, by its label, by what its numbers are called as a scale, or
-    as a dataset.
+    """Return the role of an axis, by its label, or by the name of its scale, as a scale or as a
+    dataset.
     """
     dimension = data.dims[axis]
     names = [dimension.label, *dimension.keys(), "" if scale is None else str(scale.name)]
@@ -168,9 +168,7 @@ AXIS_ATTRIBUTES = ("units", "axis", "positive", "standard_name")
 
 
 def _read(scale: Any) -> dict[str, Any]:
-    """Read the attributes of an axis that say what it is; others may be of types that h5py does
-    not know.
-    """
+    """Read the attributes that describe an axis; others may be of types that h5py does not know."""
     return {name: scale.attrs[name] for name in AXIS_ATTRIBUTES if name in scale.attrs}
 
 
@@ -191,7 +189,7 @@ them.
 
 
 def _check_filters(source: Source, data: Any) -> None:
-    """Raise VolumeError where a filter that packs the dataset is not installed."""
+    """Raise VolumeError if a filter that packs the dataset is not installed."""
     h5z = library("h5py", "HDF5").h5z
     packed = data.id.get_create_plist()
     numbers = [packed.get_filter(n)[0] for n in range(packed.get_nfilters())]
@@ -212,8 +210,8 @@ def _check_filters(source: Source, data: Any) -> None:
 
 
 def _check_storage(source: Source, data: Any) -> None:
-    """Raise VolumeError where values are elsewhere, which an upload lacks, or a chunk has more than
-    may be read.
+    """Raise VolumeError if values are in other files, which an upload lacks, or a chunk has more
+    voxels than may be read.
     """
     if source.path is None and (data.is_virtual or data.external):
         raise VolumeError(
@@ -230,8 +228,8 @@ def _check_storage(source: Source, data: Any) -> None:
 
 
 def _sources(source: Source, data: Any) -> list[Path]:
-    """The other files that hold voxels of a dataset. VolumeError where one is missing: HDF5 would
-    fill its part.
+    """Return the other files that hold voxels of a dataset. Raises VolumeError if one is missing,
+    as HDF5 would fill its part.
     """
     if data.is_virtual:
         names = {each.file_name for each in data.virtual_sources()} - {"."}
@@ -249,7 +247,7 @@ def _sources(source: Source, data: Any) -> list[Path]:
 
 
 def layered(film: bool) -> tuple[str, ...]:
-    """The note that planes of a ``film`` are shown as layers; none of what is none."""
+    """Return a note that planes of a ``film`` are shown as layers; none for other fields."""
     if film:
         return (LAYERED.format(what=TIME_STEPS),)
     return ()
@@ -257,21 +255,28 @@ def layered(film: bool) -> tuple[str, ...]:
 
 @contextmanager
 def _dataset(source: Source) -> Iterator[Any]:
-    """Open the dataset that is chosen; by default the one that the file's dialect means, else the
-    only one of three dimensions or more, or in space.
+    """Yield the open dataset that is chosen by its path or the end of its path.
+
+    By default it is the one that the file's dialect names, else the only one of three dimensions or
+    more, else the only one with axes in space. Raises VolumeError, which lists all, if none is
+    meant.
     """
     h5py = library("h5py", "HDF5")
     with source.open() as file, h5py.File(source.path or file, "r", locking=False) as whole:
         part = source.chosen.get("part")
+        # A part that is a whole path is taken as it is.
         found = whole.get(part) if part else None
         if isinstance(found, h5py.Dataset) and found.ndim >= 3:
             yield found
             return
+        # List all datasets that may be volumes.
         fields: list[Any] = []
         whole.visititems(
             lambda _, each: fields.append(each) if isinstance(each, h5py.Dataset) else None
         )
         fields = [each for each in fields if each.ndim >= 3]
+        # Without a part, take the dataset that a dialect names, or the only one; with one, the only
+        # dataset whose path ends with it.
         if part is None:
             found = next((data for each in CHOICES if (data := each(source, whole))), None)
             fields_in_space = [each for each in fields if _is_in_space(each)]
@@ -284,20 +289,21 @@ def _dataset(source: Source) -> Iterator[Any]:
             meant = ending[0] if len(ending) == 1 else None
         if meant is None:
             raise unchosen(source, [each.name.strip("/") for each in fields])
+        # Files of dialects without levels of resolution have no other choices.
         if not any(each in LEVELLED and each(source, whole) for each in CHOICES):
             source.refuse_others("part", "time", "channel")
         yield meant
 
 
 def _is_in_space(data: Any) -> bool:
-    """Tell whether a dataset's axes are named as x, y, z, and perhaps time and channel."""
+    """Return True if a dataset's axes are named as x, y, z, and perhaps time and channel."""
     found = [_role(data, axis, _scale(data, axis)) for axis in range(data.ndim)]
     return {"x", "y", "z"} <= set(found)
 
 
 def unchosen(source: Source, names: Sequence[str]) -> VolumeError:
-    """What is wrong where no volume of a file is chosen, or one that it does not have; its volumes
-    have ``names``.
+    """Return the error for a file of which no volume is chosen, or one that it does not have; its
+    volumes have ``names``.
     """
     part = source.chosen.get("part")
     listed = ", ".join(f"'{source.name}#{name}'" for name in names[:8])
@@ -385,8 +391,8 @@ def open_netcdf(source: Source) -> Grid:
 
 @contextmanager
 def _variables(source: Source) -> Iterator[dict[str, Any]]:
-    """The variables of a file, by their names; of one that ends too early what it has is no more
-    than its bytes.
+    """Yield the variables of a file, by their names. The file is read into memory first: a header
+    that announces more than it holds takes no more.
     """
     reader = library("nibabel.externals.netcdf", "NetCDF").netcdf_file
     with source.open() as file:
@@ -427,8 +433,8 @@ def _chosen(source: Source, variables: dict[str, Any]) -> Any:
 
 
 def _filled(field: np.ndarray) -> Any:
-    """What NetCDF fills variables of a type with by default, where any voxel of a ``field`` has it;
-    else None.
+    """Return the number with which NetCDF fills variables of a type by default, if any voxel of a
+    ``field`` has it; else None.
     """
     mark = as_stored(NETCDF_FILL_VALUES.get(field.dtype.str[1:], math.nan), field.dtype)
     return mark if (field == mark).any() else None

@@ -1,5 +1,5 @@
-"""Dialects of HDF5: what programs write beside their numbers, such as which data set is meant, its
-axes, spacing and direction.
+"""Dialects of HDF5: the metadata that programs write with their numbers, such as the data set to
+show, its axes, spacing and direction.
 
 Each dialect chooses a data set if none is chosen, and describes one: VTKHDF, openPMD, NeXus,
 Imaris, BigDataViewer, ilastik, ITK and MATLAB. Sources: VTK's "VTKHDF File Format", openPMD 1.1.0,
@@ -76,7 +76,7 @@ VTK_ARRAYS = ("PointData", "CellData")
 
 
 def choose_vtk(source: Source, whole: Any) -> Any:
-    """Choose the only array of a VTKHDF image. Raises VolumeError for what is no image."""
+    """Choose the only array of a VTKHDF image. Raises VolumeError for other VTKHDF files."""
     group = whole.get(VTK_GROUP)
     if group is None:
         return None
@@ -174,7 +174,7 @@ def _signal_of(group: Any) -> Any:
 
 
 def _is_signal(each: Any) -> bool:
-    """Tell whether a data set is the signal of its group, as newer or older files say it."""
+    """Return True if a data set is the signal of its group, in the way of newer or older files."""
     if getattr(each, "ndim", 0) < 3:
         return False
     older = attribute(each, "signal") == "1"
@@ -276,7 +276,7 @@ def choose_bdv(source: Source, whole: Any) -> Any:
 
 
 def _deep(group: Any) -> list[str]:
-    """Name what is three groups below."""
+    """Name the members of a group down to its third level."""
     names: list[str] = []
     group.visit(names.append)
     return names[:8]

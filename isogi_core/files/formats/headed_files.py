@@ -34,7 +34,7 @@ that attenuation is multiplied by, and the blocks between header and voxels.
 
 @reader("ISQ")
 def open_isq(source: Source) -> Grid:
-    """Open a scan of Scanco's microCT as a grid. Raises VolumeError."""
+    """Open a scan of Scanco's microCT as a grid, in mm. Raises VolumeError."""
     with source.open() as file:
         head = file.read(BLOCK_BYTES)
     x, y, z = (int(n) for n in np.frombuffer(head, "<i4", 3, SIZES_BYTE))
@@ -42,11 +42,14 @@ def open_isq(source: Source) -> Grid:
     scaling = int(np.frombuffer(head, "<i4", 1, SCALING_BYTE)[0])
     first = BLOCK_BYTES * (int(np.frombuffer(head, "<i4", 1, OFFSET_BYTE)[0]) + 1)
     source.check((z, y, x))
-    steps = triple(lengths / (x, y, z) / 1000.0)
-    said = Described("", first, (z, y, x), np.dtype("<i2"), steps, unit="mm")
-    grid = grid_of(source, "ISQ", said)
-    note = f"Values are as stored: the linear attenuation is theirs divided by {scaling}, in 1/cm."
-    return replace(grid, notes=(*grid.notes, note)) if scaling > 0 else grid
+    # The header has the length of the whole scan along each axis, in µm.
+    spacing = triple(lengths / (x, y, z) / 1000.0)
+    described = Described("", first, (z, y, x), np.dtype("<i2"), spacing, unit="mm")
+    grid = grid_of(source, "ISQ", described)
+    if scaling <= 0:
+        return grid
+    note = f"Values are as stored: divide by {scaling} for the linear attenuation in 1/cm."
+    return replace(grid, notes=(*grid.notes, note))
 
 
 VFF_END = "\x0c\n"

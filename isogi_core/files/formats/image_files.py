@@ -92,7 +92,7 @@ def open_itk(source: Source) -> Grid:
 
 
 def _reader(source: Source) -> tuple[Any, tuple[int, ...]]:
-    """A reader that has read the header, and the size along x, y, z and time."""
+    """Return a reader that has read the header, and the size along x, y, z and time."""
     sitk = library("SimpleITK", "MetaImage", "'isogi[itk]'")
     reader = sitk.ImageFileReader()
     reader.SetFileName(str(source.path))
@@ -101,14 +101,14 @@ def _reader(source: Source) -> tuple[Any, tuple[int, ...]]:
 
 
 def _data_files(source: Source) -> list[Any]:
-    """Files beside the header that may hold its voxels."""
+    """Return the files next to the header that may hold its voxels."""
     assert source.path is not None, "an image of ITK has a path"
     beside = [source.path.with_suffix(suffix) for suffix in (".raw", ".zraw", ".img")]
     return [path for path in beside if path.is_file() and path != source.path]
 
 
 Chosen = tuple[int | None, int]
-"""The step in time, None where there is no such axis, and the number of each voxel."""
+"""The step in time, None if there is no such axis, and the number of each voxel."""
 
 
 def _itk_slabs(
@@ -120,7 +120,7 @@ def _itk_slabs(
 
 
 def _block(source: Source, chosen: Chosen, first: int, count: int) -> np.ndarray:
-    """Some layers, (count, ny, nx)."""
+    """Return some layers, (count, ny, nx)."""
     reader, size = _reader(source)
     extra = [step for step in chosen[:1] if step is not None]
     reader.SetExtractIndex([0, 0, first, *extra])
@@ -182,16 +182,18 @@ def open_vtr(source: Source) -> Grid:
     image = ImageFile(source, "vtkXMLRectilinearGridReader")
     grid = _grid_of(image, source, "VTR")
     axes = image.coordinates()
+    # If the coordinates are those of corners, the values belong to cells: take their middles.
     if grid.shape != tuple(len(each) for each in axes[::-1]):
-        axes = [(each[1:] + each[:-1]) / 2.0 for each in axes]  # values of cells, in their middles
+        axes = [(each[1:] + each[:-1]) / 2.0 for each in axes]
     place = place_by([Along(each) for each in axes])
-    known = "its coordinates" if place.said and not place.notes else ""
+    # Uneven coordinates, of which there is a note, do not place the voxels.
+    placed = "its coordinates" if place.said and not place.notes else ""
     return replace(
         grid,
         spacing=place.spacing,
         affine=place.affine,
         notes=(*grid.notes, *place.notes),
-        read_as=read_as("VTR", grid.dtype, known),
+        read_as=read_as("VTR", grid.dtype, placed),
     )
 
 
@@ -279,13 +281,13 @@ class ImageFile:
         ]
 
     def of_cells(self, name: str) -> bool:
-        """Whether an array has a value for each cell, which is a voxel then, and not for each
-        point.
+        """Return True if an array has a value for each cell, which is a voxel then, and not for
+        each point.
         """
         return name not in self._points
 
     def shape(self, name: str) -> Shape:
-        """The size of an array along z, y, x."""
+        """Return the size of an array along z, y, x."""
         points = [
             last - first + 1
             for first, last in zip(self.extent[::2], self.extent[1::2], strict=True)
@@ -293,7 +295,7 @@ class ImageFile:
         return tuple(n - self.of_cells(name) for n in points[::-1])
 
     def layers(self, name: str, first: int, count: int) -> np.ndarray:
-        """Some layers of an array, (count, ny, nx, numbers of a point)."""
+        """Return some layers of an array, (count, ny, nx, numbers of a point)."""
         lowest = self.extent[4] + first
         cells = self.of_cells(name)
         self._reader.UpdateExtent([*self.extent[:4], lowest, lowest + count - (not cells)])
@@ -323,7 +325,7 @@ class ImageFile:
         return found
 
     def numbers(self, name: str) -> int:
-        """How many numbers each point of an array has."""
+        """Return the number of numbers of each point of an array."""
         return int(self.layers(name, 0, 1).shape[-1])
 
     def _check_end(self, source: Source) -> None:
@@ -342,7 +344,7 @@ class ImageFile:
 
 
 def _name(source: Source, names: list[str]) -> str:
-    """The name of the array that is chosen, the only one by default."""
+    """Return the name of the array that is chosen, the only one by default."""
     chosen = source.chosen.get("part") or (
         "value" if "value" in names else names[0] if len(names) == 1 else None
     )

@@ -1,8 +1,8 @@
-"""Kinds of files: a table that tells each by how files begin, else by their name, and gives its
-reader, or says what a person can do where isogi has none.
+"""Kinds of files: a table that recognises each by the beginning of files, else by their name, and
+gives its reader, or advice if isogi has none.
 
 A new kind is a new row, or a row of another package's plug-in. Readers, and the libraries that they
-use, are loaded when a file needs them.
+use, are imported when a file needs them.
 """
 
 import re
@@ -20,7 +20,7 @@ from isogi_core.files.formats.chemistry.vasp import is_vasp
 from isogi_core.files.formats.chemistry.xsf import is_xsf
 from isogi_core.files.formats.source import Reader
 from isogi_core.files.packed_files import BZIP2_MAGIC, GZIP_MAGIC, line_of
-from isogi_core.files.plugins import READER_GROUP, Plugins, fault_of, named, plugins
+from isogi_core.files.plugins import READER_GROUP, Plugins, fault_of, load_object, plugins
 
 FOLDER = "isogi_core.files.formats"
 """The package of isogi's readers."""
@@ -42,7 +42,7 @@ class Head(NamedTuple):
 
     @property
     def is_packed(self) -> bool:
-        """Whether gzip or bzip2 packs the file."""
+        """True if gzip or bzip2 packs the file."""
         return self.stored.startswith((GZIP_MAGIC, BZIP2_MAGIC))
 
 
@@ -64,14 +64,16 @@ def never(content: bytes) -> bool:
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of files: its ``name``, and how files of it begin.
+    """A kind of files.
 
-    A file is of the kind if its content passes the test ``begins``; if ``both`` it must have one of
-    the ``suffixes`` too, else one of these is enough for a file that no test knows. ``reader`` is
-    the function that opens files, ``module:function``, in this folder if it begins with a dot;
-    ``unpacks`` says that it reads files packed by gzip and bzip2. ``loads`` are the modules that it
-    loads late. Kinds without a reader have ``hint`` in its place: what the file seems to be, and
-    what to do. ``package`` is the one of a plug-in, empty for isogi's kinds.
+    - ``begins``: a test of a file's first bytes, unpacked. A file that passes it is of the kind; if
+      ``both`` is set, it must have one of the ``suffixes``, too. Without it, a suffix is enough for
+      a file that no test recognises.
+    - ``reader``: ``module:function`` of the function that opens files, in this folder if it begins
+      with a dot; ``unpacks`` is True if it reads files packed by gzip and bzip2.
+    - ``loads``: modules that the reader imports only when it reads.
+    - ``hint``: in place of a reader, a description of such files, and advice.
+    - ``package``: the package of a plug-in, empty for isogi's kinds.
     """
 
     name: str
@@ -90,17 +92,17 @@ class Kind:
             raise TypeError(f"suffixes is a tuple of texts: give ('{self.suffixes}',)")
 
     def is_of(self, content: bytes, suffix: str) -> bool:
-        """Tell whether a file is of the kind by how its content begins."""
+        """Return True if a file is of the kind by the beginning of its content."""
         return self.begins(content) and (not self.both or suffix in self.suffixes)
 
     def open(self) -> Reader:
         """Load the reader."""
-        found: Reader = named(self.reader, FOLDER)
+        found: Reader = load_object(self.reader, FOLDER)
         return found
 
     @property
     def modules(self) -> tuple[str, ...]:
-        """Names of all modules that reading a file of the kind loads."""
+        """The names of all modules that reading a file of the kind imports."""
         return resolve_name(self.reader.partition(":")[0], FOLDER), *self.loads
 
 
@@ -127,7 +129,7 @@ def is_nifti(content: bytes) -> bool:
 
 
 def has_analyze_size(content: bytes) -> bool:
-    """Tell whether a header begins with the size of Analyze's, in either byte order."""
+    """Return True if a header begins with the size of Analyze's, in either byte order."""
     return (348).to_bytes(4, "little") in (content[:4], content[:4][::-1])
 
 
@@ -198,7 +200,7 @@ DICOM_MODULES = (
     "nibabel.nicom.csareader",
     *(f"PIL.{name}ImagePlugin" for name in PILLOW_FORMATS),
 )
-"""What DICOM's packed pixels are unpacked by, if it is installed."""
+"""Packages that unpack DICOM's packed pixels, if they are installed."""
 
 VTK_MODULES = (
     "vtk",
@@ -368,8 +370,10 @@ def added_kinds() -> tuple[Kind, ...]:
 
 
 def added_reader_of(head: Head) -> Kind | None:
-    """Find the kind of a plug-in that tells a file by its content, if isogi tells it by none; a
-    test that fails tells nothing.
+    """Return the kind of a plug-in that recognises a file by its content; None if no plug-in does,
+    or if isogi recognises the file itself.
+
+    A plug-in whose test raises an error counts as one that does not recognise the file.
     """
     if any(kind.is_of(head.content, head.suffix) for kind in READ_KINDS):
         return None
@@ -381,7 +385,9 @@ def added_reader_of(head: Head) -> Kind | None:
 
 
 def plugin_faults(head: Head) -> list[str]:
-    """Say which plug-ins cannot be loaded, and which fail to tell what a file is."""
+    """Return a sentence for each plug-in that cannot be loaded, and for each whose test of a file
+    fails.
+    """
     faults = list(reader_plugins().faults)
     for kind in added_kinds():
         try:

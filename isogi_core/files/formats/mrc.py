@@ -65,13 +65,13 @@ mostly empty, and of a crystal's cell, which is full (Coot's start for 2Fo - Fc)
 
 
 def _labels(header: Any) -> str:
-    """The labels of a header, one after the other."""
+    """Return the labels of a header, one after the other."""
     return " ".join(bytes(label).decode("latin-1") for label in header["label"])
 
 
 def _header(source: Source) -> Any:
-    """The header, without the extended one: mrcfile would take as much memory for that as the
-    header says.
+    """Return the header, without the extended one: mrcfile would allocate as much memory for that
+    as the header announces.
     """
     interpreter = library("mrcfile.mrcinterpreter", "MRC").MrcInterpreter
     with source.unpacked() as file:
@@ -85,9 +85,7 @@ def _header(source: Source) -> Any:
 IMOD_MARK_BYTE = 152
 IMOD_FLAGS_BYTE = 156
 SIGNED_BYTES_FLAG = 1
-"""Bytes of the header where IMOD writes its mark and its flags, and the flag of bytes with a
-sign.
-"""
+"""Bytes of the header that hold IMOD's mark and its flags, and the flag of bytes with a sign."""
 
 IMOD_MARK = 1146047817
 """IMOD's mark. Source: IMOD's description of the MRC format, "The MRC File Header"."""
@@ -97,8 +95,8 @@ BY_STANDARD = "as MRC2014 says: programs before it wrote them without one."
 
 
 def _dtype(header: Any) -> tuple[np.dtype[Any], tuple[str, ...]]:
-    """The type of voxels, and a note where it is that of bytes: whether these have a sign is said
-    by IMOD alone.
+    """Return the type of voxels, with a note if it is that of bytes: only IMOD says if these have a
+    sign.
     """
     dtype: np.dtype[Any] = library("mrcfile.utils", "MRC").data_dtype_from_header(header)
     if dtype != np.int8:
@@ -119,7 +117,7 @@ def _dtype(header: Any) -> tuple[np.dtype[Any], tuple[str, ...]]:
 
 
 def _volumes(header: Any, sections: int) -> int:
-    """Volumes in a stack of volumes; one in all other files."""
+    """Return the number of volumes in a stack of volumes; one in all other files."""
     deep = int(header["mz"])
     if int(header["ispg"]) >= 401 and deep > 0 and sections % deep == 0:
         return sections // deep
@@ -127,11 +125,11 @@ def _volumes(header: Any, sections: int) -> int:
 
 
 def _affine(header: Any, first: int) -> Affine:
-    """Columns, rows and sections to Ångström: the header's axes, cell and origin; a voxel is 1 Å
-    where it has no cell.
+    """Return the affine map from columns, rows and sections to the world in Ångström, by the
+    header's axes, cell and origin. ``first`` is the number of the first section that is read.
 
-    The origin is the header's own (MRC2014), else where the map starts in its cell. Source: the
-    CCP4 map format.
+    The origin is the header's (MRC2014), or else the place in the cell at which the map starts.
+    Source: the CCP4 map format.
     """
     axes = [int(header[name]) - 1 for name in ("mapc", "mapr", "maps")]
     if sorted(axes) != [0, 1, 2]:
@@ -141,16 +139,19 @@ def _affine(header: Any, first: int) -> Affine:
                 "again."
             )
         axes = [0, 1, 2]
+    # The cell's edges are divided into intervals, whose lengths are the distances of voxels. If the
+    # header has no intervals, or no cell, the map fills the cell, and voxels are 1 Å apart.
     size = np.array([int(header[name]) for name in ("nx", "ny", "nz")])
     intervals = np.array([float(header[name]) for name in ("mx", "my", "mz")])
     lengths = np.array([float(header["cella"][name]) for name in "xyz"])
     along = np.empty(3)
-    along[axes] = size  # voxels along the cell's own axes
+    along[axes] = size  # voxels along the axes of the cell
     intervals = np.where(intervals > 0, intervals, along)
     steps = np.where(lengths > 0.0, lengths, intervals) / intervals
     cell = _cell([float(header["cellb"][name]) for name in ("alpha", "beta", "gamma")]) * steps
     starts = np.array([int(header[name]) for name in ("nxstart", "nystart", "nzstart")], float)
     starts[2] += first
+    # The origin is the header's, else the place of the first voxel in the cell.
     matrix = cell[:, axes]
     origin = np.array([float(header["origin"][name]) for name in "xyz"])
     if not origin.any():
@@ -159,8 +160,8 @@ def _affine(header: Any, first: int) -> Affine:
 
 
 def _cell(angles: list[float]) -> np.ndarray:
-    """Unit vectors along a cell's axes a, b, c as columns, at its angles in degrees; a along x, b
-    in the xy plane.
+    """Return unit vectors along a cell's axes a, b, c as columns, at its angles in degrees; a along
+    x, b in the xy plane.
     """
     if all(0.0 < angle < 180.0 for angle in angles):
         known = angles

@@ -1,5 +1,5 @@
-"""NRRD: pynrrd parses a header's lines; what they mean, and the voxels, are read here, never more
-than promised.
+"""NRRD: pynrrd parses the lines of a header. They are interpreted, and the voxels are read, here:
+never more than the header announces.
 
 Format: https://teem.sourceforge.net/nrrd/format.html. pynrrd does not read the voxels, as it
 inflates whole files before it checks the sizes, and follows a header's data file anywhere on the
@@ -132,7 +132,7 @@ def read_header(source: Source, file: IO[bytes]) -> Header:
 
 
 def _lines(file: IO[bytes]) -> list[str]:
-    """The lines of a header, without the blank one that ends it."""
+    """Return the lines of a header, without the blank one that ends it."""
     lines = []
     while line := file.readline().decode("utf-8", "surrogateescape").rstrip():
         lines.append(line)
@@ -140,7 +140,7 @@ def _lines(file: IO[bytes]) -> list[str]:
 
 
 def number_type(name: str, header: Header) -> np.dtype[Any]:
-    """The NumPy type of the header's type and byte order."""
+    """Return the NumPy type of the header's type and byte order."""
     code = _TYPES.get(header["type"])
     if code is None:
         raise VolumeError(
@@ -158,12 +158,12 @@ def number_type(name: str, header: Header) -> np.dtype[Any]:
 
 @dataclass(frozen=True)
 class Layout:
-    """How the numbers of a file lie: ``fields`` of a ``shape`` (z, y, x), of ``each`` numbers a
-    voxel.
+    """The order of the numbers of a file: ``fields`` of a ``shape`` (z, y, x), of ``each`` numbers
+    a voxel.
 
-    Of these field number ``field`` is meant, and number ``number`` of each voxel, or all as a
-    colour where that is None. ``axes`` are the places of x, y, z in the header. The ``moment`` is
-    as in ``Grid``.
+    Read are the field number ``field``, and number ``number`` of each voxel, or all as a colour if
+    that is None. ``axes`` are the places of x, y, z in the header. The ``moment`` is as in
+    ``Grid``.
     """
 
     shape: tuple[int, int, int]
@@ -178,13 +178,13 @@ class Layout:
 
     @property
     def numbers(self) -> int:
-        """All numbers of the file."""
+        """The number of all numbers of the file."""
         return self.fields * math.prod(self.shape) * self.each
 
 
 def layout_of(source: Source, header: Header) -> Layout:
-    """The layout that a header tells, of what is chosen. VolumeError where it is not of scalar
-    fields in space.
+    """Return the layout that a header describes, of the field that is chosen. Raises VolumeError if
+    it is not of scalar fields in space.
     """
     sizes = [int(n) for n in header["sizes"]]
     if header["dimension"] != len(sizes):
@@ -213,8 +213,8 @@ def layout_of(source: Source, header: Header) -> Layout:
 
 
 def _kinds(header: Header, sizes: list[int]) -> list[str]:
-    """What each axis is: a kind of SPACE_KINDS, TIME_KINDS or COLOUR_KINDS, a channel, or one of
-    UNKNOWN_VALUES.
+    """Return the kind of each axis: one of SPACE_KINDS, TIME_KINDS or COLOUR_KINDS, a channel, or
+    one of UNKNOWN_VALUES.
     """
     given = [str(kind).lower() for kind in header.get("kinds", ())]
     if len(given) == len(sizes):
@@ -233,8 +233,8 @@ def _kinds(header: Header, sizes: list[int]) -> list[str]:
 
 
 def _space(name: str, header: Header, kinds: list[str], sizes: list[int]) -> tuple[int, int, int]:
-    """The places of x, y, z. Axes of unknown kinds are of space where these are needed, the fastest
-    first.
+    """Return the places of x, y, z. If there are too few axes in space, axes of unknown kinds are,
+    the fastest first.
     """
     unknown = [n for n, kind in enumerate(kinds) if kind in UNKNOWN_VALUES]
     spatial = [n for n, kind in enumerate(kinds) if kind in SPACE_KINDS]
@@ -273,8 +273,8 @@ def _space(name: str, header: Header, kinds: list[str], sizes: list[int]) -> tup
 
 
 def _chosen(source: Source, header: Header, kind: str, length: int, key: str) -> Header:
-    """What a layout has along an axis that is not of space: under the ``key`` the element that is
-    chosen.
+    """Return the fields of the layout that follow from an axis of this ``kind``, which is not of
+    space: under ``key`` the number of the element that is chosen.
     """
     if kind in TIME_KINDS:
         step, unchosen = pick_step(source, length)
@@ -297,8 +297,8 @@ _SEGMENT = re.compile(r"Segment(\d+)_(\w+)")
 
 
 def segments_of(header: Header) -> dict[int, dict[str, str]]:
-    """What 3D Slicer says of the segments of a segmentation, by their numbers; empty of other
-    volumes.
+    """Return the entries of 3D Slicer on the segments of a segmentation, by their numbers; empty
+    for other volumes.
     """
     found: dict[int, dict[str, str]] = {}
     for key, value in header.items():
@@ -310,7 +310,7 @@ def segments_of(header: Header) -> dict[int, dict[str, str]]:
 
 
 def labels_of(header: Header, layer: int) -> tuple[LabelName, ...] | None:
-    """The labels of a segmentation of 3D Slicer in a ``layer``; None where the file is none.
+    """Return the labels of a segmentation of 3D Slicer in a ``layer``; None if the file is none.
 
     Files of old versions have a segment in each layer, and no values: these are then 1.
     """
@@ -339,7 +339,9 @@ def _number(text: str | None, fallback: int) -> int:
 
 
 def _segment_colour(text: str) -> str:
-    """Slicer's red, green and blue from 0 to 1, sRGB, as ``#rrggbb``; empty where they are none."""
+    """Return Slicer's red, green and blue from 0 to 1, sRGB, as ``#rrggbb``; empty if they are
+    none.
+    """
     parts = re.findall(r"[\d.eE+-]+", text)
     try:
         shares = [min(max(float(part), 0.0), 1.0) for part in parts]
@@ -351,8 +353,8 @@ def _segment_colour(text: str) -> str:
 
 
 def spacing_of(name: str, header: Header, layout: Layout) -> Vector:
-    """Lengths of the space directions of x, y, z (one row per axis), else their ``spacings``, else
-    1.
+    """Return the lengths of the space directions of x, y, z (one row per axis), else their
+    ``spacings``, else 1.
     """
     if "space directions" in header:
         rows = np.asarray(header["space directions"], np.float64)
@@ -372,7 +374,7 @@ def spacing_of(name: str, header: Header, layout: Layout) -> Vector:
 
 
 def affine_of(header: Header, layout: Layout) -> Affine | None:
-    """Where voxels lie in the world; None where the header says spacing alone."""
+    """Return the map from voxels to the world; None if the header gives the spacing alone."""
     rows = np.asarray(header.get("space directions", ()), np.float64)
     if rows.shape != (len(header["sizes"]), 3):
         return None
@@ -390,7 +392,9 @@ def affine_of(header: Header, layout: Layout) -> Affine | None:
 
 
 def placed_by(header: Header) -> str:
-    """What in a header says where voxels lie, or how far apart; empty where nothing does."""
+    """Name the entries of a header that place voxels, or give their distances; empty
+    without one.
+    """
     if "space" in header:
         space = f" in {header['space']}"
     else:
@@ -403,7 +407,7 @@ def placed_by(header: Header) -> str:
 
 
 def unit_of(header: Header) -> str:
-    """The unit of lengths; empty where axes have several or none."""
+    """Return the unit of lengths; empty if axes have several or none."""
     units = {str(unit).strip('"') for unit in header.get("space units", ())}
     return units.pop() if len(units) == 1 else ""
 
@@ -423,8 +427,8 @@ _PATTERN = re.compile(r"(\S*%0?\d*d\S*)((?:\s+-?\d+){3,4})")
 
 
 def data_names(source: Source, header: Header) -> list[str] | None:
-    """Names of the files with the voxels, in their order; None where these follow the header.
-    VolumeError.
+    """Return the names of the files with the voxels, in their order; None if voxels follow the
+    header. Raises VolumeError.
     """
     given = next(
         (value for field, value in header.items() if field.lower() in ("data file", "datafile")),
@@ -452,7 +456,7 @@ def data_names(source: Source, header: Header) -> list[str] | None:
 
 
 def _numbered(pattern: re.Match[str]) -> list[str]:
-    """The names that a pattern stands for: ``sl%03d.raw 0 31 1``."""
+    """Return the names that a pattern stands for: ``sl%03d.raw 0 31 1``."""
     first, last, step = (int(part) for part in pattern[2].split()[:3])
     if not step or pattern[1].count("%") != 1 or _DIGITS.search(pattern[1]) is None:
         return []
@@ -476,14 +480,16 @@ _BZIP2 = ("bzip2", "bz2")
 
 @reader("NRRD", "channel", "time")
 def open_nrrd(source: Source) -> Grid:
-    """Open one scalar volume as a grid; only the header is read now. No memory is taken on its word
-    alone.
+    """Open one scalar volume as a grid; only the header is read now.
 
-    Attached or, but for uploads, detached (data files at or below the header's folder); raw, gzip,
-    bzip2 or text; every integer and float type, both byte orders. Spacing is the length of each
-    space direction, else ``spacings``, else 1, as the file gives it, even where that is not
-    positive. Raises VolumeError where the file is missing, not NRRD or not of scalar fields in
-    space; the slabs raise it where the file does not hold exactly the promised voxels.
+    Files may be attached or, but for uploads, detached (data files at or below the header's
+    folder); raw, gzip, bzip2 or text; of every integer and float type, in both byte orders. Spacing
+    is the length of each space direction, else ``spacings``, else 1, as the file gives it, even if
+    it is not positive.
+
+    Raises VolumeError if the file is missing, not NRRD or not of scalar fields in space; the slabs
+    raise it if the file does not hold exactly the announced voxels. Memory is allocated only for
+    voxels that are there, whatever the header says.
     """
     with _readable(source), source.open() as file:
         header = read_header(source, file)
@@ -518,7 +524,7 @@ DEVIATIONS_KEY = "isogi deviations"
 
 
 def meaning_lines(grid: Grid) -> list[str]:
-    """Lines of a header that keep what ``periodic_of`` and ``number_of`` read."""
+    """Return lines of a header that keep the facts which ``periodic_of`` and ``number_of`` read."""
     given = {LEVEL_KEY: grid.level, DEVIATIONS_KEY: grid.deviations}
     numbers = [f"{key}:={value!r}" for key, value in given.items() if value is not None]
     if any(grid.periodic):
@@ -527,7 +533,7 @@ def meaning_lines(grid: Grid) -> list[str]:
 
 
 def periodic_of(header: Header) -> Periodic:
-    """Along which axes the field repeats, as isogi's key says."""
+    """Return for each axis True if the field repeats along it, by isogi's key."""
     words = str(header.get(PERIODIC_KEY, "")).split()
     if len(words) != 3:
         return APERIODIC
@@ -536,7 +542,7 @@ def periodic_of(header: Header) -> Periodic:
 
 
 def number_of(header: Header, key: str) -> float | None:
-    """The finite number of a header's ``key``; None without one."""
+    """Return the finite number of a header's ``key``; None without one."""
     try:
         number = float(header[key])
     except (KeyError, ValueError):
@@ -545,7 +551,7 @@ def number_of(header: Header, key: str) -> float | None:
 
 
 def _stamp(source: Source, files: list[Path]) -> str:
-    """The state of the header and of its data files, and what is chosen of them."""
+    """Return the state of the header and of its data files, and the choices."""
     if source.path is not None:
         paths = [source.path]
     else:
@@ -574,7 +580,7 @@ def _slabs(source: Source) -> Iterator[np.ndarray]:
 
 
 def _layers(layout: Layout, dtype: np.dtype[Any], blocks: Iterator[bytes]) -> Iterator[np.ndarray]:
-    """The numbers of a file, some layers at a time; (layers, ny, nx, each)."""
+    """Yield the numbers of a file, some layers at a time; (layers, ny, nx, each)."""
     inner = (*layout.shape[1:], layout.each)
     layer = int(np.prod(inner)) * dtype.itemsize
     slab = slab_layers(layer) * layer
@@ -589,8 +595,8 @@ def _layers(layout: Layout, dtype: np.dtype[Any], blocks: Iterator[bytes]) -> It
 
 
 def _field(layout: Layout, slabs: Iterator[np.ndarray]) -> Iterator[np.ndarray]:
-    """The layers of the field that is chosen, and of each voxel the number; all are passed, so that
-    all are counted.
+    """Yield the layers of the field that is chosen, and of each voxel the number that is. All
+    layers are read, so that missing ones are noticed.
     """
     first = layout.field * layout.shape[0]
     last = first + layout.shape[0]
@@ -619,8 +625,8 @@ def _readable(source: Source) -> Iterator[None]:
 
 @contextmanager
 def _data(source: Source, header: Header, file: IO[bytes]) -> Iterator[list[IO[bytes]]]:
-    """The files with the voxels: ``file``, which is at the byte after the header, or the header's
-    data files.
+    """Yield the files with the voxels: ``file``, which is at the byte after the header, or the
+    header's data files.
     """
     names = data_names(source, header)
     if names is None:
@@ -638,15 +644,15 @@ def _data(source: Source, header: Header, file: IO[bytes]) -> Iterator[list[IO[b
 
 
 def _beside(folder: Path, name: str) -> Path:
-    """The path of a file in a ``folder``, whose name's letters may be composed otherwise there: å
-    of one or of two.
+    """Return the path of a file in a ``folder``, in which the letters of its name may be composed
+    otherwise: å of one character or of two.
     """
     forms = (name, normalize("NFC", name), normalize("NFD", name))
     return next((folder / form for form in forms if (folder / form).exists()), folder / name)
 
 
 def _decoded_bytes(name: str, header: Header, file: IO[bytes], size: int) -> Iterator[bytes]:
-    """Yield ``size`` bytes after line skip, decoding and byte skip; VolumeError where there are
+    """Yield ``size`` bytes after line skip, decoding and byte skip. Raises VolumeError if there are
     fewer or more.
     """
     encoding = header["encoding"].lower()
@@ -680,7 +686,7 @@ def _decoded_bytes(name: str, header: Header, file: IO[bytes], size: int) -> Ite
 
 
 def _decoded(encoding: str, file: IO[bytes]) -> Content:
-    """The stream of decoded voxel bytes in ``file``."""
+    """Return the stream of decoded voxel bytes in ``file``."""
     if encoding in _GZIP:
         return gzip.GzipFile(fileobj=file)
     if encoding in _BZIP2:
@@ -689,7 +695,7 @@ def _decoded(encoding: str, file: IO[bytes]) -> Content:
 
 
 def _written_out(name: str, stream: Content, dtype: np.dtype[Any]) -> Iterator[bytes]:
-    """The bytes of numbers that are written out, with blanks or commas between."""
+    """Yield the bytes of numbers that are written as text, with blanks or commas between."""
     rest = b""
     while block := stream.read(READ_BYTES >> 4):
         text = (rest + block).replace(b",", b" ")
@@ -703,7 +709,9 @@ def _written_out(name: str, stream: Content, dtype: np.dtype[Any]) -> Iterator[b
 
 
 def _header_numbers(name: str, words: list[bytes], dtype: np.dtype[Any]) -> bytes:
-    """The bytes of written numbers in a type. VolumeError where one is no number of it."""
+    """Return the bytes of written numbers in a type. Raises VolumeError if a word is no such
+    number.
+    """
     try:
         return np.array(
             [int(word) if dtype.kind in "iu" else float(word) for word in words], dtype
@@ -717,7 +725,7 @@ def _header_numbers(name: str, words: list[bytes], dtype: np.dtype[Any]) -> byte
 def _cut_notes(
     source: Source, header: Header, parts: list[IO[bytes]], size: int
 ) -> tuple[str, ...]:
-    """What there is to say of how packed files end."""
+    """Return notes on the ends of packed files: see ``cut_notes``."""
     if header["encoding"].lower() not in _GZIP:
         return ()
     each = size // len(parts)

@@ -1,5 +1,5 @@
-"""Opening volumes of any kind but Zarr, by the table of kinds; folders, archives, and what a file
-that is no volume seems to be.
+"""Opening volumes of any kind but Zarr, by the table of kinds; folders, archives, and messages on
+files that are no volumes.
 """
 
 import zlib
@@ -42,7 +42,7 @@ from isogi_core.files.formats.other_kinds import (
 )
 from isogi_core.files.formats.source import FILE_CHOICES, Source
 from isogi_core.files.grid import Grid, read_as
-from isogi_core.files.plugins import blamed, failure_of
+from isogi_core.files.plugins import blame_plugin, failure_of
 
 __all__ = ["HEAD_BYTES", "libraries_for", "open_file", "open_upload", "split_part"]
 
@@ -66,10 +66,8 @@ def open_file(path: Path, chosen: dict[str, Any]) -> Grid:
 
 
 def open_upload(file: IO[bytes], name: str, most: int) -> Grid:
-    """Open an untrusted file as a grid: no other file is opened, and no memory is taken on a
-    header's word.
-
-    Raises VolumeError, also where it has more than ``most`` voxels.
+    """Open an untrusted file as a grid: no other file is opened, and memory is allocated only for
+    voxels that are there. Raises VolumeError, also if it has more than ``most`` voxels.
     """
     return _open_by_head(Source(name, file=file, voxels=most))
 
@@ -114,7 +112,7 @@ def _head(source: Source) -> Head:
 
 
 def _header_of(path: Path) -> Path:
-    """The header of a pair of files of which the voxels are named; any other path itself."""
+    """Return the header of a pair of files of which the voxels are named; any other path itself."""
     voxels = brain_files.PAIR_ENDINGS.search(path.name) is not None and ".img" in path.name.lower()
     if voxels:
         header = brain_files.beside(path, ".hdr")
@@ -124,7 +122,7 @@ def _header_of(path: Path) -> Path:
 
 
 def _unknown(source: Source, head: Head) -> VolumeError:
-    """Say what is wrong with a file that is no volume, and what it seems to be if that is known."""
+    """Return the error for a file that is no volume, with its likely kind if that is known."""
     name = source.name
     if not head.stored:
         return VolumeError(f"'{name}' is empty: copy or write it again.")
@@ -139,15 +137,17 @@ def _unknown(source: Source, head: Head) -> VolumeError:
 
 
 def _with_faults(said: str, head: Head) -> str:
-    """Add to a message which plug-ins are broken, as one of these may be meant to read the file."""
+    """Add to a message a sentence for each broken plug-in, as one of these may be meant to read the
+    file.
+    """
     return " ".join([said, *plugin_faults(head)])
 
 
 def read_by_plugin(kind: Kind, source: Source) -> Grid:
-    """Open a file by a plug-in's reader. Raises VolumeError, which names the package for whatever
-    goes wrong in it.
+    """Open a file by a plug-in's reader. Raises VolumeError, which names the package, for all
+    errors of the reader.
     """
-    with blamed(kind.package, _unread(kind, source.name), VolumeError):
+    with blame_plugin(kind.package, _unread(kind, source.name), VolumeError):
         grid = kind.open()(source)
     if not isinstance(grid, Grid):
         wrong = f"it gives {type(grid).__name__}"
@@ -167,7 +167,7 @@ def _checked_slabs(kind: Kind, name: str, grid: Grid) -> Iterator[np.ndarray]:
     shape.
     """
     layers = 0
-    with blamed(kind.package, _unread(kind, name), VolumeError):
+    with blame_plugin(kind.package, _unread(kind, name), VolumeError):
         for slab in grid.slabs():
             layers += len(slab)
             if slab.shape[1:] != grid.shape[1:] or layers > len(grid):
@@ -192,8 +192,8 @@ def _cubes(source: Source) -> str:
 
 
 def _open_folder(source: Source) -> Grid:
-    """Open a folder of slices: TIFF if it holds such, else DICOM. Raises VolumeError, which says
-    what else the folder seems to be.
+    """Open a folder of slices: TIFF if it holds such, else DICOM. Raises VolumeError, with the
+    folder's likely kind if it holds neither.
     """
     if tiff.slices_in(source):
         return tiff.open_tiff_folder(source)
@@ -206,7 +206,7 @@ def _open_folder(source: Source) -> Grid:
 
 
 def _no_slices(source: Source) -> VolumeError:
-    """Say what a folder without slices holds, and which of its files are volumes."""
+    """Return the error for a folder without slices, with its files that are volumes."""
     paths = [path for path in source.paths if not path.name.startswith(".")]
     volumes = [path for path in paths[:MOST_LOOKED_AT] if _is_whole(source.at(path))]
     if volumes:
@@ -265,7 +265,7 @@ def open_archive(source: Source) -> Grid:
 
 
 MOST_LOOKED_AT = 64
-"""Files of an archive of which it is asked whether they are a volume alone."""
+"""Number of files of an archive that are examined as volumes."""
 
 
 SLICE_KINDS = ("TIFF", "DICOM")
@@ -273,7 +273,7 @@ SLICE_KINDS = ("TIFF", "DICOM")
 
 
 def _is_whole(source: Source) -> bool:
-    """Tell whether a file is a volume alone, and no slice of one."""
+    """Return True if a file is a volume alone, and no slice of one."""
     kind = reader_of(_head(source))
     return kind is not None and kind.name not in SLICE_KINDS
 
@@ -283,8 +283,8 @@ ZARR_FILES = ("zarr.json", ".zarray", ".zgroup")
 
 
 def split_part(name: str) -> tuple[str, dict[str, str]]:
-    """A volume's name without what follows its last #, and what that chooses: ``#time=3``, or a
-    path in the file.
+    """Return a volume's name without the part after its last #, and the choice that this part
+    makes: ``#time=3``, or a path in the file.
 
     Raises VolumeError for a key that is none of FILE_CHOICES.
     """

@@ -1,4 +1,4 @@
-"""Kinds of files that isogi does not read, told by how they begin, with what a person can do."""
+"""Kinds of files that isogi recognises by their beginning, but does not read, each with advice."""
 
 from pathlib import Path
 
@@ -149,15 +149,15 @@ WRONG_SUFFIXES = {
     ".raw": BARE_VOXELS_HINT,
     ".bin": BARE_VOXELS_HINT,
 }
-"""What the suffix of a name says of a file that begins as nothing that is known."""
+"""Hints by the suffix of a file whose beginning is not known."""
 
 TEXT_BYTES = bytes((*range(0x20, 0x7F), *b"\t\n\r\f\x1a", *range(0x80, 0x100)))
 """Bytes that texts have, in ASCII, Latin-1 and UTF-8."""
 
 
 def hint_of(head: Head) -> str:
-    """Say what a file seems to be by its first bytes, and what to do; empty if these tell
-    nothing.
+    """Return a hint on the likely kind of a file by its first bytes, and advice; empty if they are
+    not known.
     """
     for kind in OTHER_KINDS:
         if kind.is_of(head.content, head.suffix):
@@ -166,12 +166,14 @@ def hint_of(head: Head) -> str:
 
 
 def is_text(head: Head) -> bool:
-    """Tell whether a file begins as a text, of any language."""
+    """Return True if a file begins as a text, of any language."""
     return bool(head.content) and not head.content.translate(None, TEXT_BYTES)
 
 
 def guess_of(head: Head) -> str:
-    """Say what a file of no known kind may be: a text by its bytes, else what its suffix says."""
+    """Return a hint on a file of no known kind: that it is a text, by its bytes, else by its
+    suffix.
+    """
     if is_text(head):
         return WRONG_SUFFIXES.get(head.suffix) or TEXT_HINT
     if head.is_packed:
@@ -196,12 +198,12 @@ FOLDER_KINDS: tuple[tuple[tuple[str, ...], str], ...] = (
     (("__array_schema",), "an array of TileDB: save it by numpy.save"),
     (("__schema",), "an array of TileDB: save it by numpy.save"),
 )
-"""Names of files and folders by which folders are told, and what they seem to be."""
+"""Names of files and folders by which folders are recognised, and hints on these."""
 
 
 def hint_of_folder(folder: Path) -> str:
-    """Say what a folder seems to be by the names in it, and what to do; empty if these tell
-    nothing.
+    """Return a hint on the likely kind of a folder by the names in it, and advice; empty if these
+    are not known.
     """
     for names, hint in FOLDER_KINDS:
         if all((folder / name).exists() for name in names):

@@ -1,8 +1,8 @@
 """Headers whose voxels lie bare in a file next to them: MetaImage, BOV of VisIt, VGI of VGStudio,
 and the .dat of the Volume Library.
 
-A header says what ``raw`` says of bare voxels, and their spacing. What it names must lie at its
-place or below.
+A header gives the sizes and type of the bare voxels, and their spacing. The file that it names must
+be in its folder or below.
 """
 
 import math
@@ -27,9 +27,9 @@ MOST_HEADER_BYTES = 1 << 16
 
 @dataclass(frozen=True)
 class Described:
-    """What a header says of voxels: the name of the file with them, empty if they follow the
-    header, the byte where they begin, None if they are its last; their ``shape`` (z, y, x), type
-    and spacing.
+    """Bare voxels as a header describes them: the name of the file with them, empty if they follow
+    the header, the byte at which they begin, None if they are its last; their ``shape`` (z, y, x),
+    type and spacing.
     """
 
     data: str
@@ -98,8 +98,8 @@ def text_of(source: Source) -> str:
 
 
 def data_of(source: Source, name: str) -> Source:
-    """Find the file that a header names, by its name alone if it is not where the header says.
-    Raises VolumeError.
+    """Return the file that a header names; if it is not at that place, one of the same name next to
+    the header. Raises VolumeError.
     """
     if source.path is None and source.member is None:
         raise VolumeError(
@@ -120,7 +120,9 @@ def data_of(source: Source, name: str) -> Source:
 
 
 def grid_of(source: Source, kind: str, said: Described) -> Grid:
-    """Open what a header describes as a grid. Raises VolumeError if the file has fewer voxels."""
+    """Open the voxels that a header describes as a grid. Raises VolumeError if the file has too
+    few.
+    """
     source.check(said.shape)
     voxels = data_of(source, said.data) if said.data else source
     size = math.prod(said.shape) * said.dtype.itemsize
@@ -251,7 +253,7 @@ def open_metaimage(source: Source) -> Grid:
 
 
 def _is_plain(keys: Keys, name: str) -> bool:
-    """Tell whether a header describes one file of bare voxels of three dimensions."""
+    """Return True if a header describes one file of bare voxels of three dimensions."""
     packed = keys.get("compresseddata", "false").lower() == "true"
     binary = keys.get("binarydata", "true").lower() == "true"
     one = keys.get("elementnumberofchannels", "1") == "1"

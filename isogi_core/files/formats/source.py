@@ -1,5 +1,5 @@
-"""Sources of volumes: a file by its path, or an open and untrusted one; and what all readers
-share.
+"""Sources of volumes: a file by its path, or an open and untrusted one; and the functions that all
+readers share.
 """
 
 import math
@@ -30,8 +30,8 @@ from isogi_core.files.packed_files import (
 )
 
 FILE_CHOICES = ("level", "channel", "time", "series", "raw", "part")
-"""What may be chosen of a file; ``part`` is a path inside it, and ``raw`` says what bare voxels
-are.
+"""Choices that a file may offer; ``part`` is a path inside it, and ``raw`` gives the sizes and type
+of bare voxels.
 """
 
 
@@ -54,7 +54,7 @@ class Source:
 
     @property
     def is_folder(self) -> bool:
-        """Whether it holds files: a folder, or an archive."""
+        """True if it holds files: a folder, or an archive."""
         if self.archive is not None:
             return self.member is None
         return self.path is not None and self.path.is_dir()
@@ -68,13 +68,13 @@ class Source:
         return sorted(path for path in self.path.iterdir() if path.is_file())
 
     def at(self, path: Path) -> "Source":
-        """The file at one of its ``paths``."""
+        """Return the file at one of its ``paths``."""
         if self.archive is not None:
             return replace(self, name=str(path), member=path)
         return Source(str(path), path)
 
     def unpacked_archive(self) -> "Source":
-        """This ZIP file as a folder of what is in it. Raises VolumeError."""
+        """Return this ZIP file as a folder of its members. Raises VolumeError."""
         if self.path is None:
             assert self.file is not None, "a source has a path or a file"
             file = self.file
@@ -87,7 +87,7 @@ class Source:
 
     @contextmanager
     def open(self) -> Iterator[IO[bytes]]:
-        """The file at its beginning, as it lies on the disk. Raises VolumeError where it cannot be
+        """Yield the file at its beginning, as it is on the disk. Raises VolumeError if it cannot be
         read.
         """
         if self.archive is not None and self.member is not None:
@@ -114,18 +114,20 @@ class Source:
 
     @contextmanager
     def unpacked(self) -> Iterator[Any]:
-        """The file's content: that of gzip and bzip2 files is unpacked while it is read."""
+        """Yield the file's content: gzip and bzip2 files are unpacked while they are read."""
         with self.open() as file:
             yield content_of(file)
 
     def cut_notes(self, size: int) -> tuple[str, ...]:
-        """What there is to say of how a file ends whose content has ``size`` bytes."""
+        """Return a note if the file is cut off, though its content of ``size`` bytes is whole; see
+        ``packed_files.cut_notes``.
+        """
         with self.open() as file:
             return cut_notes(file, size)
 
     def stamp(self, *others: Path) -> str:
-        """Names the state of the file, of ``others`` that belong to it, and what is chosen; see
-        ``Grid``.
+        """Return a name of the state of the file, of ``others`` that belong to it, and of the
+        choices; see ``Grid``.
         """
         if self.path is not None:
             files = [self.path]
@@ -134,13 +136,15 @@ class Source:
         return f"{stamp_of([*files, *others])} {sorted(self.chosen.items())}"
 
     def refuse_others(self, *keys: str) -> None:
-        """Raise VolumeError where something is chosen that this kind of file does not have."""
+        """Raise VolumeError if something is chosen that this kind of file does not offer: all but
+        ``keys``.
+        """
         other = next((key for key in self.chosen if key not in keys), None)
         if other is not None:
             raise VolumeError(f"'{self.name}' has no '{other}' to choose: leave it out.")
 
     def count(self, key: str) -> int | None:
-        """A number that is chosen; None where none is. Raises VolumeError where it is no whole
+        """Return a number that is chosen; None if none is. Raises VolumeError if it is no whole
         number.
         """
         given = self.chosen.get(key)
@@ -151,8 +155,8 @@ class Source:
         return int(given)
 
     def check(self, shape: Shape) -> None:
-        """Raise VolumeError where a field of ``shape`` is larger than may be read, before any
-        memory is taken.
+        """Raise VolumeError if a field of ``shape`` has more voxels than may be read. Call it
+        before memory is allocated.
         """
         if min(shape, default=0) < 1:
             raise VolumeError(
@@ -167,8 +171,9 @@ class Source:
 
 
 def library(name: str, kind: str, install: str = "'isogi[formats]'") -> Any:
-    """The library that reads files of a ``kind``. VolumeError, with the line that installs it,
-    where it is missing.
+    """Import and return the library ``name``, which reads files of a ``kind``.
+
+    Raises VolumeError, with the command that installs it, if it is missing.
     """
     try:
         return import_module(name)
@@ -190,11 +195,11 @@ Reader = Callable[[Source], Grid]
 
 
 def reader(kind: str, *choices: str) -> Callable[[Reader], Reader]:
-    """Decorator: a function that opens sources of a ``kind``, of which the ``choices`` may be
-    chosen, as grids.
+    """Return a decorator of functions that open sources of a ``kind`` as grids; ``choices`` are
+    those that such files offer.
 
-    It raises VolumeError for whatever a library makes of a damaged file, and so do the slabs of its
-    grids.
+    The function then raises VolumeError for all errors of libraries that read a damaged file, and
+    so do the slabs of its grids.
     """
 
     def decorate(read: Reader) -> Reader:
@@ -236,11 +241,11 @@ def reading(name: str, kind: str) -> Iterator[None]:
 def raw_slabs(
     source: Source, start: int, shape: Shape, dtype: np.dtype[Any], exact: bool = False
 ) -> Iterator[np.ndarray]:
-    """The voxels (z, y, x) that lie one after the other from byte ``start`` of the content on; some
+    """Yield the voxels (z, y, x) that follow each other from byte ``start`` of the content on, some
     layers at a time.
 
-    VolumeError where the file ends before the last, or where it should be ``exact`` and does not
-    end with it: no memory is taken on a header's word.
+    Raises VolumeError if the file ends before the last voxel, or if it is to be ``exact`` and goes
+    on after it. Memory is allocated only for voxels that are there, whatever a header says.
     """
     with source.unpacked() as file:
         try:
@@ -263,7 +268,7 @@ def skip(file: Content, count: int) -> None:
 
 
 def slabs_in(file: Content, name: str, shape: Shape, dtype: np.dtype[Any]) -> Iterator[np.ndarray]:
-    """The next numbers of a file as an array of a ``shape``, some layers at a time. Raises as
+    """Yield the next numbers of a file as an array of a ``shape``, some layers at a time. Raises as
     ``read_numbers``.
     """
     layer = math.prod(shape[1:])
@@ -275,10 +280,8 @@ def slabs_in(file: Content, name: str, shape: Shape, dtype: np.dtype[Any]) -> It
 
 
 def read_numbers(file: Content, name: str, count: int, dtype: np.dtype[Any]) -> np.ndarray:
-    """The next numbers of a file, (count,). VolumeError, which names the volume, where there are
-    fewer.
-
-    Memory is taken as they are read.
+    """Return the next numbers of a file, (count,). Raises VolumeError, which names the volume, if
+    there are fewer. Memory is allocated as they are read.
     """
     data = bytearray()
     size = count * dtype.itemsize
@@ -297,13 +300,15 @@ LUMINANCE_NOTE = "The voxels are colours: their luminance is shown."
 
 
 def luminance_of_colours(colours: np.ndarray) -> np.ndarray:
-    """The luminance of colours (..., 3 or 4), float32; opacity is left out."""
+    """Return the luminance of colours (..., 3 or 4), float32; opacity is left out."""
     return np.asarray(colours[..., :3].astype(np.float32) @ np.array(LUMINANCE_WEIGHTS, np.float32))
 
 
 def pick(source: Source, key: str, length: int, steps: str) -> int:
-    """Which of ``length`` elements is chosen by ``key``, the only one by default. Raises
-    VolumeError.
+    """Return the number of the element that is chosen by ``key`` of ``length`` elements, 0 if there
+    is only one. ``steps`` names the elements in messages.
+
+    Raises VolumeError if none of several is chosen, or one that does not exist.
     """
     chosen = source.count(key)
     if chosen is None and length > 1:
@@ -317,10 +322,11 @@ def pick(source: Source, key: str, length: int, steps: str) -> int:
 
 
 def pick_step(source: Source, length: int) -> tuple[int, bool]:
-    """Which of ``length`` steps in time is chosen, the first by default, and whether nobody chose
-    among several.
+    """Return the number of the chosen one of ``length`` steps in time, the first by default, and
+    True if there are several and none was chosen.
 
-    It is for files that say that an axis is time. Raises VolumeError for a step that is not there.
+    It is for files that say that an axis is time. Raises VolumeError for a step that does not
+    exist.
     """
     unchosen = length > 1 and source.count("time") is None
     return 0 if unchosen else pick(source, "time", length, "time steps"), unchosen
@@ -329,12 +335,12 @@ def pick_step(source: Source, length: int) -> tuple[int, bool]:
 def pick_axes(
     source: Source, shape: Shape, in_time: bool = False
 ) -> tuple[tuple[int, ...], tuple[int, int], bool]:
-    """Which elements are chosen along the axes before the last three of an array: time and then
-    channel, of two.
+    """Return the elements that are chosen along the axes before the last three of an array, the
+    moment, and True if none of several steps was chosen; see ``Grid``.
 
-    An only one is chosen by either key, unless the first is said to be ``in_time``: then its first
-    step is taken where none is chosen. Returns the moment, too, and whether nobody chose a step
-    among several; see ``Grid``. Raises VolumeError where there are more axes.
+    Two such axes are time and then channel. A single one is chosen by either key. If the first is
+    known to be ``in_time``, its first step is taken by default. Raises VolumeError if there are
+    more axes.
     """
     extra = shape[:-3]
     if len(extra) > 2:
@@ -367,8 +373,8 @@ WHOLE_SLAB_BYTES = 1 << 28
 
 @dataclass(frozen=True)
 class Picked:
-    """What is read of an array: an element or a range along each axis, the ``key``; and the places
-    of z, y and x among the axes, their ``order``.
+    """The part of an array that is read: an element or a range along each axis, the ``key``, and
+    the places of z, y and x among the axes, their ``order``.
     """
 
     key: tuple[Any, ...]
@@ -404,7 +410,7 @@ class Picked:
         return tuple(key)
 
     def turned(self, block: np.ndarray) -> np.ndarray:
-        """Bring what was read by a key of layers into the order z, y, x."""
+        """Return a ``block`` that was read by a key of layers in the order z, y, x."""
         return block.transpose(np.argsort(np.argsort(self.order)))
 
 
@@ -412,8 +418,8 @@ def pick_roles(
     source: Source, shape: Shape, roles: Sequence[str]
 ) -> tuple[Picked, tuple[int, int], bool]:
     """Pick the field of an array whose axes have ``roles``: x, y, z, t and c; without roles, as
-    ``pick_axes`` does. Returns the moment too, and whether nobody chose a step among several.
-    Raises VolumeError.
+    ``pick_axes`` does. Return the moment, too, and True if none of several steps was chosen. Raises
+    VolumeError.
     """
     if not roles:
         ahead, moment, first = pick_axes(source, shape)

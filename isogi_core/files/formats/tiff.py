@@ -57,7 +57,7 @@ PLANE_COUNTS = {
     **dict.fromkeys(REPEAT_AXIS, TIME_STEPS),
     **dict.fromkeys(CHANNEL_AXES, "channels"),
 }
-"""What planes along an axis are that is no depth."""
+"""Names for planes along an axis that is no depth."""
 
 
 @reader("TIFF", "time", "channel", "series")
@@ -115,11 +115,11 @@ def open_tiff(source: Source) -> Grid:
 
 
 def _layers_of(axes: str, shape: Shape) -> tuple[str, tuple[str, ...]]:
-    """What planes were taken for, for ``read_as``; and a note where the file says that they are no
-    depth.
+    """Return a phrase for ``read_as`` on the axis along which planes are stacked, and a note if the
+    file says that it is no depth.
 
-    A film of one plane is no volume: its frames are shown as layers, as no other picture of it is
-    one.
+    A film of planes is no volume: its frames are shown as layers, as there is no other picture of
+    it.
     """
     outer = [
         axis
@@ -136,8 +136,8 @@ def _layers_of(axes: str, shape: Shape) -> tuple[str, tuple[str, ...]]:
 
 
 def _calibrated(packing: Packing, about: Mapping[str, Any]) -> Packing:
-    """The packing with ImageJ's calibration of values, where that is a straight line; a note where
-    it is another.
+    """Return the packing with ImageJ's calibration of values if that is a straight line; with a
+    note if it is another.
     """
     kind = about.get("cf")
     (offset, slope) = (about.get(name) for name in ("c0", "c1"))
@@ -168,7 +168,9 @@ GDAL's GeoTIFF driver.
 
 
 def _packing(page: Any, stored: np.dtype[Any], coloured: bool) -> Packing:
-    """What stored pixels mean, of which one value may say that there is no data."""
+    """Return how the numbers of a ``page`` stand for values: as they are ``stored``, but one number
+    may mean that a pixel has no data. Colours become their luminance.
+    """
     if coloured:
         return Packing(np.dtype(np.float32))
     tag = page.tags.get(NO_DATA)
@@ -176,6 +178,7 @@ def _packing(page: Any, stored: np.dtype[Any], coloured: bool) -> Packing:
         text = ""
     else:
         text = str(tag.value).strip("\0 ")
+    # A tag that holds no number is left out.
     try:
         return holed(stored, [float(text)] if text else [], "no data")
     except ValueError:
@@ -183,7 +186,7 @@ def _packing(page: Any, stored: np.dtype[Any], coloured: bool) -> Packing:
 
 
 def _series(source: Source, whole: Any) -> Any:
-    """The series that is chosen, the first by default."""
+    """Return the series that is chosen, the first by default."""
     number = source.count("series") or 0
     first = whole.series[0]
     if len(whole.series) > 1 and "series" not in source.chosen and _is_stack(whole.series):
@@ -205,14 +208,14 @@ def _others(source: Source, whole: Any) -> tuple[str, ...]:
 
 
 def _is_stack(series: Any) -> bool:
-    """Whether all series are planes, of one size and type."""
+    """Return True if all series are planes, of one size and type."""
     kinds = {(each.axes, each.shape, each.dtype) for each in series}
     return len(kinds) == 1 and series[0].axes in (PLANE_AXES, PLANE_AXES + COLOUR_AXIS)
 
 
 def _pages(source: Source, axes: str, shape: Shape) -> tuple[list[int], tuple[int, int]]:
-    """Numbers of the planes that make up the field that is chosen, in its order along z, and its
-    moment.
+    """Return the numbers of the planes that make up the field that is chosen, in its order along z,
+    and its moment.
     """
     inner = next((each for each in COLOUR_PAGES if axes.endswith(each)), PLANE_AXES)
     if not axes.endswith(inner) or (inner == PLANE_AXES and len(axes) < 3):
@@ -236,8 +239,8 @@ def _pages(source: Source, axes: str, shape: Shape) -> tuple[list[int], tuple[in
 
 
 def _pick(source: Source, axis: str, length: int, alone: bool) -> Any:
-    """What is taken along an axis: all where it is z, or ``alone``, else the element that is
-    chosen.
+    """Return the part that is taken along an axis: all of z, or of an axis that is ``alone``, else
+    the element that is chosen.
     """
     if alone and length > 1:
         return slice(None)
@@ -255,7 +258,7 @@ def _pick(source: Source, axis: str, length: int, alone: bool) -> Any:
 
 
 def _check_page(source: Source, series: Any, coloured: bool) -> None:
-    """Raise VolumeError for what pages of a series cannot be."""
+    """Raise VolumeError if pages of a series cannot be those of a volume."""
     page = series.keyframe
     if int(page.photometric) == 3:
         raise VolumeError(f"'{source.name}' holds colours of a palette: save its values.")
@@ -269,7 +272,7 @@ def _check_page(source: Source, series: Any, coloured: bool) -> None:
 def _page_slabs(
     source: Source, pages: list[int], plane: Shape, packing: Packing
 ) -> Iterator[np.ndarray]:
-    """The planes of a series, one at a time; (1, ny, nx) each."""
+    """Yield the planes of a series, one at a time; (1, ny, nx) each."""
     tifffile = library("tifffile", "TIFF")
     with source.open() as file, tifffile.TiffFile(file, name=source.name) as whole:
         series = _series(source, whole)
@@ -278,7 +281,9 @@ def _page_slabs(
 
 
 def _plane(source: Source, whole: Any, series: Any, number: int, plane: Shape) -> np.ndarray:
-    """One plane of a series: of its own page, or of one whose voxels hold the planes of all."""
+    """Return one plane of a series: of its page, or of one page whose voxels hold the planes of
+    all.
+    """
     coloured = COLOUR_AXIS in series.axes
     if len(series.pages) == 1 and series.dataoffset is not None and number >= 0:
         count = int(np.prod(plane)) * (series.shape[-1] if coloured else 1)
@@ -299,7 +304,7 @@ def _plane(source: Source, whole: Any, series: Any, number: int, plane: Shape) -
 
 
 Spacing = tuple[tuple[float, float, float], str, tuple[str, ...]]
-"""Steps along x, y, z, their unit, and notes on what was assumed."""
+"""Steps along x, y, z, their unit, and notes on assumptions."""
 
 NOTHING_SAID: Spacing = ((1.0, 1.0, 1.0), "", ())
 
@@ -335,7 +340,7 @@ CENTIMETRE = 3
 
 
 def _resolution(page: Any, name: str) -> float:
-    """World units per pixel, of a tag that gives pixels per unit."""
+    """Return the world units per pixel of a tag that gives pixels per unit."""
     tag = page.tags.get(name)
     above, below = tag.value if tag is not None else (1, 1)
     return below / above if above and below else 1.0
@@ -365,14 +370,16 @@ def _ome_spacing(text: str) -> Spacing:
 
 
 def slices_in(folder: Source) -> list[Path]:
-    """The TIFF files in a folder or an archive, in the order of the numbers in their names."""
+    """Return the TIFF files in a folder or an archive, in the order of the numbers in
+    their names.
+    """
     return sorted(
         (path for path in folder.paths if path.suffix.lower() in TIFF_SUFFIXES), key=_numbers
     )
 
 
 def _numbers(path: Path) -> list[tuple[int, str]]:
-    """Orders names as people do: by their numbers, not by their digits."""
+    """Return the sort key of a name by its numbers, not by their digits, as people sort."""
     return [
         (int(part), "") if part.isdecimal() else (-1, part)
         for part in re.split(r"(\d+)", path.name)
@@ -381,8 +388,8 @@ def _numbers(path: Path) -> list[tuple[int, str]]:
 
 
 def open_tiff_folder(source: Source) -> Grid:
-    """Open a folder of TIFF slices as a grid. Raises VolumeError where slices are missing, or
-    unlike the others.
+    """Open a folder of TIFF slices as a grid. Raises VolumeError if slices are missing, or unlike
+    the others.
     """
     tifffile = library("tifffile", "TIFF")
     source.refuse_others()
@@ -426,7 +433,7 @@ def open_tiff_folder(source: Source) -> Grid:
 
 
 def _check_gaps(source: Source, files: list[Path]) -> None:
-    """Raise VolumeError where the numbers in the slices' names leave some out."""
+    """Raise VolumeError if the numbers in the slices' names leave some out."""
     numbers = [[part for part, text in _numbers(file) if not text] for file in files]
     lasts = [each[-1] for each in numbers if each]
     steps = np.diff(lasts)

@@ -71,7 +71,7 @@ def _kind(element: Any, name: str) -> str:
 
 
 def _is_even(grid: Any) -> bool:
-    """Tell whether a grid is even: one that an origin and steps describe."""
+    """Return True if a grid is even: described by an origin and steps."""
     topology = _kind(grid.find("Topology"), "Topology")
     geometry = grid.find("Geometry")
     if geometry is None or _kind(geometry, "Geometry") != EVEN_GEOMETRY:

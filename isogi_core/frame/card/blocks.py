@@ -16,7 +16,7 @@ from isogi_core.frame.known_blocks import Block, Packed
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.shading import fill_texel_records, filter_texel_light, light_sources
-from isogi_core.frame.texel_normals import own_normals
+from isogi_core.frame.texel_normals import normals_at_positions
 from isogi_core.frame.texel_reading import Reading
 from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import ViewTexels
@@ -150,9 +150,9 @@ def read_raw(
 def hold_filtering(
     renderer: Renderer, chunks: Sequence[Index], target: float, tiles: Tiles
 ) -> Iterator[tuple[ChunkTexels, PagePool]]:
-    """Hold ``chunks`` in the pool while the block runs; if some of their texels are grainy, also
-    those texels of all chunks that touch one which the filter reads. Yield the texels, and the
-    pool.
+    """Hold ``chunks`` in the pool while the block runs. If the light of some of their texels is
+    grainy, hold the texels of neighbouring chunks that the filter reads, too. Yield the texels, and
+    the pool.
 
     Raises the errors of ``fold_chunks``.
     """
@@ -163,7 +163,7 @@ def hold_filtering(
             return
     # The filter reads texels of the chunks around, too.
     more = with_neighbours(chunks, renderer.prepared)
-    with hold_texels(loader, more, target, tiles, around=chunks) as held:
+    with hold_texels(loader, more, target, tiles, filtered=chunks) as held:
         yield held
 
 
@@ -204,4 +204,6 @@ def raw_scale(spec: BakeSpec) -> float:
 
 def normals_of(renderer: Renderer, texels: ViewTexels, tiles: Tiles) -> np.ndarray:
     """Return the normals that texels are lit about, (m, 3) float32."""
-    return own_normals(texels, texels.places, renderer.known_normals, renderer.prepared, tiles)
+    return normals_at_positions(
+        texels, texels.places, renderer.known_normals, renderer.prepared, tiles
+    )

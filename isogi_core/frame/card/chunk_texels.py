@@ -52,22 +52,22 @@ def hold_texels(
     chunks: Sequence[Index],
     target: float,
     tiles: Tiles,
-    around: Sequence[Index] = (),
+    filtered: Sequence[Index] = (),
 ) -> Iterator[tuple[ChunkTexels, PagePool]]:
     """Hold ``chunks`` in the pool while the block runs; yield their texels, final at the ``target``
     error, and the pool.
 
-    Of chunks that only the filter reads for those ``around`` which they lie, only the texels within
-    its reach are taken. Raises the errors of ``Loader.ensure``.
+    If only some chunks are ``filtered``, the others are neighbours whose texels the filter reads:
+    of these, only the texels within its reach are taken. Raises the errors of ``Loader.ensure``.
     """
     loader.ensure(chunks, tiles.check)
     pool = loader.pool
     prepared = loader.chunk_store.spec.prepared
     with pool.hold(chunks) as held:
         versions = tuple(map(pool.version, held.slots.tolist()))
-        # Chunks that are held for the filter alone give only the texels that it reads.
-        if around:
-            near = near_texels(chunks, around, prepared)
+        # Of chunks that are held for the filter alone, leave out the texels beyond its reach.
+        if filtered:
+            near = near_texels(chunks, filtered, prepared)
         else:
             near = None
         occupied = find_occupied(pool, tuple(chunks), held.slots, near)
@@ -98,19 +98,20 @@ def find_occupied(
 
 
 def near_texels(
-    chunks: Sequence[Index], around: Sequence[Index], prepared: PreparedScene
+    chunks: Sequence[Index], filtered: Sequence[Index], prepared: PreparedScene
 ) -> np.ndarray:
-    """Mark the texels of ``chunks`` that the filter reads for the chunks ``around`` which they
-    lie; (chunks, texels) bool.
+    """Mark the texels of ``chunks`` that the filter reads to smooth the ``filtered`` chunks: all of
+    these, and margins of their neighbours; (chunks, texels) bool.
     """
     side = prepared.lattice.chunk
-    reach = min(sum(FILTER_DISTANCES), prepared.lattice.chunk)
-    # Along each axis, it reads a margin of the chunk before, all of the chunk, and a margin of the
-    # next.
+    # Each pass of the filter reads farther by its distance.
+    reach = min(sum(FILTER_DISTANCES), side)
+    # Along each axis, the filter reads the end of the chunk before, all of the chunk, and the
+    # beginning of the next.
     parts = {-1: slice(side - reach, side), 0: slice(0, side), 1: slice(0, reach)}
     near = np.zeros((len(chunks), side, side, side), np.bool_)
     numbers = {at: number for number, at in enumerate(chunks)}
-    for z, y, x in around:
+    for z, y, x in filtered:
         for k, j, i in product(parts, repeat=3):
             if (number := numbers.get((z + k, y + j, x + i))) is not None:
                 near[number, parts[k], parts[j], parts[i]] = True

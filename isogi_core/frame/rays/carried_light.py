@@ -44,9 +44,10 @@ class TracedPoints:
     """Points of a ``view`` whose light was traced.
 
     - ``rows`` (height, width) int32: number of the point that a pixel shows, -1 if it has none.
-    - ``points`` (k, 3) float32: their places in the volume's box; ``normals`` (k, 3) float32.
+    - ``points``, ``normals`` (k, 3) float32: their positions in the world, and outward normals.
     - ``estimate``: sums of their paths; ``expected`` (k,): expected errors of the texels there.
-    - ``shares`` (k,): shares of their light that were shown, smaller around the chosen points.
+    - ``shares`` (k,): shares of their light that were shown: below 1 in the rim of the chosen
+      points, in which traced light fades out.
     - ``changes`` (k,): largest relative change of light to a neighbouring pixel.
     """
 
@@ -88,17 +89,16 @@ class TracedPoints:
         return self.estimate.nbytes + sum(each.nbytes for each in arrays)
 
     def pairs(
-        self, shot: Shot, points: np.ndarray, pixels: np.ndarray
+        self, shot: Shot, points: np.ndarray, pixel_sides: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the rows of points of another ``shot`` that may take over light, ascending; the
-        numbers of the points whose light they take; and their distances in pixels. Raises
-        Cancelled.
+        """Match points of another ``shot`` with the points of this view that are nearest. Return
+        the rows of those that may take over light, ascending, the numbers of the points whose light
+        they take, and their distances in pixels of the finer view; (j,) each. Raises Cancelled.
 
-        ``points`` (m, 3) are the shot's in the volume's box, ``pixels`` (m,) the sides of its
-        pixels there.
+        ``points`` (m, 3) are the world positions of the shot's points, and ``pixel_sides`` (m,) the
+        lengths of the sides of its pixels there, in the world.
         """
-        # Find the pixel of the former view that shows each point, and the point that was traced
-        # there.
+        # Find the pixel of this view in which each point lies, and the point that was traced there.
         columns, lines, depths = project(self.view, points)
         height, width = self.rows.shape
         seen = (columns >= 0) & (columns < width) & (lines >= 0) & (lines < height) & (depths > 0)
@@ -106,14 +106,15 @@ class TracedPoints:
         numbers = self.rows[lines[places].astype(np.int64), columns[places].astype(np.int64)]
         places = places[numbers >= 0]
         numbers = numbers[numbers >= 0]
-        # It is the same part of the surface if it is as near as pixels are, and faces the same way.
-        finer = np.minimum(depths * self.view.camera.pixel_size(height), pixels)
+        # The point traced there may lie far before or behind: take its light only if both are about
+        # a pixel apart, and face the same way.
+        finer = np.minimum(depths * self.view.camera.pixel_size(height), pixel_sides)
         away = np.linalg.norm(points[places] - self.points[numbers], axis=1) / finer[places]
         normals = shot.gbuffer.normals(shot.tiles)
         cosines = (normals[places] * self.normals[numbers]).sum(axis=1)
         near = (away <= FARTHEST) & (cosines >= LEAST_COSINE)
-        # Leave out points at edges of light, where a part of a pixel makes a difference, and those
-        # at rims, whose changes are infinite, at any distance.
+        # Leave out points at edges of shadows, where light changes within a part of a pixel, and
+        # those at outlines, whose changes are infinite, at any distance.
         least = np.finfo(np.float64).tiny
         near &= self.changes[numbers] * np.maximum(away, least) <= MOST_CHANGE * shot.goal.error
         return places[near], numbers[near], away[near]
@@ -139,24 +140,24 @@ class TracedLight:
 
     def carried_to(self, shot: Shot, uncertainty: np.ndarray) -> PixelLight:
         """Return the light that points of a ``shot`` take over, each from the nearest point of all
-        views; it is that of no points if none is near. Raises Cancelled.
+        views; light of no points if none is near. Raises Cancelled.
 
-        ``uncertainty`` (m,) is that of the luminance of its points. It stands for the expected
+        ``uncertainty`` (m,) of the texels' luminance at the shot's points stands for the expected
         error of those that take over none.
         """
         gbuffer = shot.gbuffer
         view = shot.view
         points = gbuffer.points * np.array(gbuffer.spacing)
-        pixels = project(view, points)[2] * view.camera.pixel_size(view.height)
+        pixel_sides = project(view, points)[2] * view.camera.pixel_size(view.height)
         m = len(points)
         nearest = np.full(m, np.inf)
         sums = np.zeros((m, REPLICAS, 3))
         counts = np.zeros(m, np.int64)
         expected = np.array(uncertainty, np.float64)
         shares = np.ones(m)
-        # Go through the views, and keep the nearest point of each pixel.
+        # Go through the views, and take for each point the paths of the nearest point.
         for each in self.views:
-            places, numbers, away = each.pairs(shot, points, pixels)
+            places, numbers, away = each.pairs(shot, points, pixel_sides)
             nearer = away < nearest[places]
             places = places[nearer]
             numbers = numbers[nearer]
@@ -168,6 +169,7 @@ class TracedLight:
         found = np.flatnonzero(nearest < np.inf)
         if not len(found):
             return PixelLight.none()
+        # Filter the light as if its paths had been traced for these points.
         part = gbuffer.part(found, shot.tiles)
         paths = Paths(shot.light, part, shot.tiles, bounces_of_truth(shot.light))
         own = PixelLight.of(found, Estimate(sums[found], counts[found]), paths, expected)
@@ -176,9 +178,10 @@ class TracedLight:
 
 def changes_by_pixel(rows: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Return the largest difference of each of the ``values`` (k,) from those of the eight pixels
-    around it, relative to the value; (k,). It is infinite if fewer than LEAST_NEIGHBOURS of these
-    have a value, as at the rim of the surface. ``rows`` (height, width) numbers the values, -1
-    without one.
+    around it, relative to the value; (k,).
+
+    It is infinite if fewer than LEAST_NEIGHBOURS of these have a value, as at the outline of the
+    surface. ``rows`` (height, width) has the number of each pixel's value, -1 if it has none.
     """
     worst = np.zeros(len(values))
     neighbours = np.zeros(len(values), np.int64)
@@ -196,15 +199,16 @@ def changes_by_pixel(rows: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def project(view: View, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the columns and lines at which a ``view`` shows ``points`` (m, 3) of the volume's box,
-    in pixels from the upper left corner, and their depths along the view; each (m,).
+    """Return the columns and lines at which a ``view`` shows ``points`` (m, 3) of the world, in
+    pixels from the upper left corner, and their distances from the eye along its direction; (m,)
+    each. Columns and lines mean nothing for points behind the eye.
     """
     right, up, forward = view.camera.basis()
-    ways = points - np.array(view.camera.eye)
-    depths = ways @ forward
+    offsets = points - np.array(view.camera.eye)
+    depths = offsets @ forward
     scale = 1.0 / (np.where(depths > 0.0, depths, np.inf) * view.camera.pixel_size(view.height))
-    columns = view.width / 2.0 + ways @ right * scale
-    lines = view.height / 2.0 - ways @ up * scale
+    columns = view.width / 2.0 + offsets @ right * scale
+    lines = view.height / 2.0 - offsets @ up * scale
     return columns, lines, depths
 
 

@@ -161,7 +161,7 @@ def find_lobes(
         len(lit),
         LOBE_POINTS,
     )
-    add_halves(lamps, halves, shadows.halves(halves, seen), lit)
+    add_halves(lamps, halves, shadows.penumbra(halves, seen), lit)
     return LobeLight(lit)
 
 
@@ -293,15 +293,18 @@ class Shadows:
         self.tiles.run(_piece, len(pairs), tile_of(len(pairs), RIM_PAIRS, self.tiles))
         return sees
 
-    def halves(self, pairs: np.ndarray, seen: np.ndarray) -> np.ndarray:
-        """Return the irradiance of each of the ``pairs`` in half-shadow, as a share of that by the
-        whole lobe at normal incidence, and its variance; (pairs, 2).
+    def penumbra(self, pairs: np.ndarray, seen: np.ndarray) -> np.ndarray:
+        """Return the irradiance of each of the ``pairs`` of a point and a lobe in half-shadow, as a
+        share of that by the whole lobe at normal incidence, and its variance; (pairs, 2).
+
+        ``seen`` (lobes, points) marks all pairs in half-shadow.
         """
         sides = np.empty(len(pairs), np.uint8)
         places = np.empty(self.points, np.int32)
         find_sides(self.picture, pairs, seen, sides)
-        # ``sides`` has a bit for each pair of opposite neighbours in half-shadow. The more there
-        # are, the fewer rays a point needs: they share theirs.
+        # Cast rays to the disc of the lobe. ``sides`` has a bit for each two opposite neighbours
+        # that are in half-shadow, too. The more there are, the fewer rays a point needs, as
+        # neighbours share their rays.
         rays = np.array(PENUMBRA_RAYS)[np.bitwise_count(sides)]
         traced = np.empty((len(pairs), 2))
         for count in np.unique(rays).tolist():
@@ -321,7 +324,7 @@ class Shadows:
         return shares
 
     def _shares(self, pairs: np.ndarray, rays: int) -> np.ndarray:
-        """Return the shares of ``halves`` by ``rays`` rays of each pair alone, and their variance;
+        """Return the shares of ``penumbra`` by ``rays`` rays of each pair alone, and the variance;
         (pairs, 2).
         """
         shares = np.empty((len(pairs), 2))

@@ -80,7 +80,8 @@ class PixelLight:
     """Light of k surface points that was traced for them.
 
     - ``places`` (k,): rows of the points, ascending.
-    - ``estimate``: sums of REPLICAS replicas of paths; all points have the same number of paths.
+    - ``estimate``: sums of REPLICAS replicas of paths. All points have the same number of paths,
+      unless their light was carried here from several views.
     - ``light`` (k, 3): linear RGB that they show, filtered.
     - ``variance`` (k,): variance of its luminance.
     - ``probes`` (k, contrasts): luminances with the distribution of its noise.
@@ -276,7 +277,9 @@ class Choice:
             near, _ = around.means((shares > 0.0)[:, None].astype(float), none)
             shares[(shares == 0.0) & (near[:, 0] > SAME_SURFACE)] = share
         places = np.flatnonzero(shares)
-        # Errors of texels that the rim takes away leave as much room for noise.
+        # A pixel of the rim that shows the share s of traced light keeps the share 1 - s of its
+        # texels' error, and (1 - s)² of the square. The squared error that is gone leaves as much
+        # room for noise.
         found = shares[places]
         removed = (self.errors[places] ** 2 * found * (2.0 - found))[found < 1.0].sum()
         return replace(self, places=places, variance=self.variance + float(removed), shares=found)
@@ -320,8 +323,11 @@ class Growth:
 
     @property
     def next(self) -> int:
-        """Paths of each replica after the next step: at most twice as many, so that a cancelled
-        step loses little.
+        """Paths of each replica after the next step.
+
+        Points that joined first catch up with the others. Then paths grow to the number that is
+        wanted, but at most to twice as many, so that a cancelled step loses little, and at least by
+        an eighth, so that few steps are needed.
         """
         before = self.light.count
         if self.has_new:

@@ -28,17 +28,19 @@ def path_starts(traced: TracedSurface, points: SurfacePoints, replicas: range) -
 
 
 def sight_lines(gbuffer: GBuffer) -> SurfacePoints:
-    """Return points just before those of a G-buffer on the eye's rays, with the unit world
-    directions of these rays as normals; float64.
+    """Return the eye's rays as starts of paths through glass: points START_BACK_VOXELS before those
+    of a G-buffer, with the unit world directions of the rays in place of normals; float64.
 
-    Rays through glass soon diverge from those that start a rounding error apart.
+    Rays through glass diverge so fast that a rounding error of their start shows: paths must meet
+    the surface by the rays that filled the G-buffer.
     """
     spacing = np.array(gbuffer.spacing)
-    ways = (gbuffer.points - np.array(gbuffer.eye)) * spacing
-    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
-    along = ways / spacing
-    before = gbuffer.points - START_BACK_VOXELS * along / np.abs(along).max(axis=1, keepdims=True)
-    return SurfacePoints(before, ways, gbuffer.pixels)
+    directions = (gbuffer.points - np.array(gbuffer.eye)) * spacing
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    # Step back in index space, where the largest component counts voxels.
+    steps = directions / spacing
+    before = gbuffer.points - START_BACK_VOXELS * steps / np.abs(steps).max(axis=1, keepdims=True)
+    return SurfacePoints(before, directions, gbuffer.pixels)
 
 
 def add_glow(

@@ -236,7 +236,8 @@ def cast_rays(
     points = SurfacePoints(here, around, np.arange(total, dtype=np.uint32))
     ends = ShineEnds(brought, weights, points, np.empty(total, np.int8))
 
-    # Cast all rays of some points together: a random sequence for each pixel and replica.
+    # Cast the rays of points a to b: by one random sequence for each pixel and replica, of which
+    # each sample is an element.
     def _piece(a: int, b: int) -> None:
         some = shown.part(slice(a, b))
         rays = slice(a * each, b * each)

@@ -225,8 +225,10 @@ def gamma_quantile(mean: np.ndarray, variance: np.ndarray, deviations: float) ->
 
 
 def falls_below(share: float, shares: np.ndarray, errors: np.ndarray) -> float:
-    """Return the error at which the falling ``shares`` (errors,) of pixels above each of
-    ``errors`` come down to ``share``; from 0 to 1.
+    """Return the error that a ``share`` of the pixels exceeds. ``shares`` (errors,), which fall,
+    are the shares of pixels above each of the ascending ``errors``.
+
+    Return 0 if fewer pixels exceed even the least of ``errors``, 1 if more exceed the largest.
     """
     over = np.flatnonzero(shares > share)
     if not len(over):

@@ -88,8 +88,10 @@ class Trees:
         return Chances(seeds_of(words), self.samples.start + sample, DEEP)
 
 
-GREATEST = Trees(FIRST_BREADTH, range(1), range(NO_SAMPLE, NO_SAMPLE + 1))
-"""One tree of each point that leaves nothing to chance."""
+FIRST_TREES = Trees(FIRST_BREADTH, range(1), range(NO_SAMPLE, NO_SAMPLE + 1))
+"""The first trees, one from each point. They leave nothing to chance: a ray that may split no more
+follows the larger part of its light.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,21 +244,25 @@ class SurfaceSeen:
         return NoisyLight(light, 2.0 * self.first.cut.astype(np.float64) ** 2 * apart), wrong
 
     def noisy(self, sums: Estimate, shown: NoisyLight, target: float) -> np.ndarray:
-        """Return the rows of the points that are to have more trees than in ``sums``, so that
-        the light ``shown`` comes to its ``target``.
+        """Return the rows of the points that need more trees than ``sums`` holds, so that the
+        relative error of the light ``shown`` falls to the ``target``; none once all points have
+        MAX_TREES.
         """
         count = sums.most
         if count >= MAX_TREES:
             return np.empty(0, np.int64)
-        # Where walls are seen, their noise has the rest of the target.
+        # If walls are seen, trees may use up only a share of the target: the noise of the walls'
+        # light has the rest.
         share = 1.0
         if len(self.first.rows):
             share = SEEN_NOISE_SHARE
         allowed = share * target * float((shown.light @ LUMINANCE_WEIGHTS).mean())
+        # The error of the first trees is a guess, so they must stay well below what is allowed.
         if not count:
             allowed = SURE * allowed
         found = sums.noisy(shown.variance, allowed)
-        # The noise of a point is not known from few trees: until then all points have as many.
+        # Few trees do not show the noise of a single point: as long as there are few, all points
+        # get more together.
         if count >= MIN_TREES or not len(found):
             return found
         return np.arange(len(shown.light))
@@ -294,12 +300,12 @@ class ViewThrough(Refinement[SurfaceSeen]):
         )
 
     def of(self, shot: Shot) -> SurfaceSeen:
-        """Return the light that a ``shot`` shows through the surface, kept or begun now with the
-        first trees: see ``Refinement``.
+        """Return the light that a ``shot`` shows through the surface: as it was kept of this
+        picture, or else begun now with the first trees. See ``Refinement``. Raises Cancelled.
         """
 
         def make() -> SurfaceSeen:
-            first = SeenThrough.of(shot, GREATEST)
+            first = SeenThrough.of(shot, FIRST_TREES)
             return SurfaceSeen(shot.gbuffer, first, Estimate.none(len(shot.gbuffer.points)))
 
         return self.kept.get((SurfaceSeen, *check_key(shot.view, shot.goal.error)), make)

@@ -196,7 +196,7 @@ class RoomLight:
         share = (self.state.isovalue - around[0].isovalue) / (
             around[1].isovalue - around[0].isovalue
         )
-        # A side must be known at both isovalues.
+        # A side must be known at both isovalues. The numbers of paths at both name its light.
         return {
             side: low[side].mixed(high[side], share, f"-{low[side].count:x}~{high[side].count:x}")
             for side in low.keys() & high.keys()
@@ -224,8 +224,9 @@ class WallView:
 
     @classmethod
     def of_sides(cls, gbuffer: GBuffer, light: RotatedLight, sides: np.ndarray) -> list["WallView"]:
-        """Return the walls that a G-buffer shows, whose points are seen from ``sides`` (m,):
-        fronts and backs apart.
+        """Return the walls that a G-buffer shows, fronts and backs apart: rays that were mirrored
+        or refracted may meet both. ``sides`` (m,) has the side at which each point was met, 1 or
+        -1.
         """
         count = len(light.spec.prepared.scene.lighting.room.walls)
         walls = gbuffer.walls

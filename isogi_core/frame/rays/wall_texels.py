@@ -286,12 +286,14 @@ class WallTexels:
         return finer.grown(light, surface, tiles, self.count)
 
     def _unsharp_places(self, light: RotatedLight, target: float) -> np.ndarray:
-        """Mark the finer texels, twice as many along each axis, that paths are to start from; (2
-        rows, 2 columns) bool, about.
+        """Mark those of the next finer texels, about twice as many along each axis, from which
+        paths are to start; (finer rows, finer columns) bool.
 
-        All others stay interpolated: their errors together are below a quarter of the ``target``.
+        All others stay interpolated: the error of the wall by these together is below a quarter of
+        the ``target``.
         """
-        # Sort the errors; the smallest ones, whose sum is allowed, may stay interpolated.
+        # Sort the squared errors of interpolation. The smallest ones may stay as long as their sum
+        # is allowed; the last texel alone is always marked, so that a step changes something.
         errors = np.sort(self.unsharp, axis=None)
         allowed = errors.size * (0.25 * target * float(self.luminance.mean())) ** 2
         first = min(int(np.searchsorted(np.cumsum(errors), allowed)), errors.size - 1)

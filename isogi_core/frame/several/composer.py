@@ -223,12 +223,14 @@ class Composer:
         )
 
     def _peel(self, view: View, tiles: Tiles) -> Peels:
-        """Peel a view, and sort the hits by sides and walls."""
+        """Cast the rays of a view through all surfaces and walls, and sort the hits by the sides
+        that they are on. Raises Cancelled.
+        """
         surfaces = surfaces_of(self._scene, view.isovalue)
         hits, left = self._peeler(view, tiles).whole(view, tiles)
         first = first_of(view, hits, self._caches.prepared.surface(view.isovalue))
-        # Stack the layers of each side that is seen. The surface of a side takes the active cells
-        # of the side's prepared scene.
+        # Stack the layers of each side that is seen into one tall picture. Its surface is made by
+        # the side's prepared scene: inside out, with cells that are active there.
         sides = {}
         for side in sides_of(self._scene):
             if len(hits.rows_of(side)):

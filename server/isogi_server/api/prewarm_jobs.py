@@ -182,7 +182,7 @@ class Prewarm:
         """Carry out the order and keep a record of it. If the server stops, the record stays
         open, and the next server resumes it.
         """
-        with record.kept(context, "This was dismissed.", lambda: self.service.jobs.closed):
+        with record.recording(context, "This was dismissed.", lambda: self.service.jobs.closed):
             summary = self._carried_out(context, lambda ahead: record.keep(ahead=ahead))
         return record.close(summary)
 

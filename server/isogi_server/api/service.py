@@ -370,11 +370,11 @@ class Service:
         nothing is provisional. If light was given up, the same picture is yielded once more, with
         nothing coming.
         """
-        known = None
+        yielded = None
         patience = REST_PATIENCE
         clock = asyncio.get_running_loop().time
         begun = clock()
-        # Show a preview until kernels of light are compiled.
+        # Yield a preview if kernels of light are still being compiled, and wait for them.
         if not self.startup.lit.is_set():
             yield await self.show(picture, viewer, self.rank(viewer, patience))
             await self.startup.lit.wait()
@@ -385,20 +385,22 @@ class Service:
             try:
                 shown = replace(await self.show(picture, viewer, rank), place=place)
                 given_up = not (shown.frame.final or shown.coming)
-                now = (shown.frame.version, shown.frame.total)
+                drawn = (shown.frame.version, shown.frame.total)
                 wait = await self._wait_after(shown)
                 # Yield a picture only if its light or its measured error changed.
-                news = [shown] if now != known or given_up else []
+                better = [shown] if drawn != yielded or given_up else []
                 # Free megabytes while the client takes the picture: only the list holds it.
                 del shown
-                if news:
-                    known = now
+                if better:
+                    yielded = drawn
                     patience = REFINEMENT_PATIENCE
-                    yield news.pop()
+                    yield better.pop()
                 if wait is None:
                     return
             finally:
                 place.leave()
+            # The older the picture, the longer until more paths can be seen: pause for a share of
+            # its age.
             await self._next_update(picture, wait, min(YOUNGER * (clock() - begun), LONGEST_PAUSE))
 
     async def _wait_after(self, shown: Shown) -> Wait | None:

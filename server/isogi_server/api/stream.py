@@ -535,7 +535,7 @@ class Session:
                     await self._socket.send_bytes(data)
 
 
-async def kept(socket: WebSocket, session: Session, place: Place) -> None:
+async def run_session(socket: WebSocket, session: Session, place: Place) -> None:
     """Run a session until its client leaves, or until another client takes its place."""
     try:
         await place.keep(session.run())
@@ -549,7 +549,7 @@ router = APIRouter(prefix="/v1/scenes/{scene}")
 
 @router.websocket("/stream")
 async def stream(socket: WebSocket, scene: str, service: ServiceDep) -> None:
-    """Send pictures of the views that the client sends, the newest view first: drafts while it
+    """Send pictures of the views that the client sends, always of the newest one: drafts while it
     moves, the full picture at rest, better ones as light is baked.
 
     Refused with a problem document if the scene is unknown, or if too many streams are open.
@@ -558,7 +558,7 @@ async def stream(socket: WebSocket, scene: str, service: ServiceDep) -> None:
         found = service.scene(scene)
         with service.connections.admitted(client_of(socket.scope)) as place:
             await socket.accept()
-            await kept(socket, Session(socket, service, found, place), place)
+            await run_session(socket, Session(socket, service, found, place), place)
     except IsogiError as error:
         if why := refusal(error):
             socket.app.state.metrics.refused.labels(why).inc()

@@ -130,7 +130,7 @@ def prewarm_scene(
             if dry:
                 return carry_out_dry(context, what)
             try:
-                with record.kept(context, PREWARM_STOPPED):
+                with record.recording(context, PREWARM_STOPPED):
                     return record.close(
                         carry_out(context, what, lambda ahead: record.keep(ahead=ahead))
                     )

@@ -28,7 +28,7 @@ from isogi_core.files.plugins import (
     WRITER_GROUP,
     Plugins,
     Writer,
-    blamed,
+    blame_plugin,
     failure_of,
     plugins,
 )
@@ -121,7 +121,7 @@ def write_file(output: Path, lit: LitMesh | LitVolume) -> None:
     """
     writer = writers()[suffix_of(output)]
     unwritten = f"{output} cannot be written"
-    with blamed(writer.package, unwritten, ViewError):
+    with blame_plugin(writer.package, unwritten, ViewError):
         if writer.is_folder:
             writer.open()(output, lit)
             return

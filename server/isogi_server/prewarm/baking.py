@@ -123,8 +123,8 @@ class PrewarmContext:
     - ``deadline``: monotonic time at which baking ends.
     - ``patience``: seconds without anything new after which the workers are taken for broken.
     - ``cancelled``: stops the prewarm when it is set.
-    - ``rung``: samples that texels of whole isosurfaces are to have at least; ``climbed`` is called
-      when it grows.
+    - ``rung``: samples that texels of whole isosurfaces are to have at least; ``rung_rose`` is
+      called if it grows.
     """
 
     engine: RenderEngine
@@ -139,7 +139,7 @@ class PrewarmContext:
     cancelled: threading.Event = field(default_factory=threading.Event)
     begun: float = field(default_factory=time.monotonic)
     rung: int = FIRST_LEVEL
-    climbed: Callable[[int], None] = lambda _: None
+    rung_rose: Callable[[int], None] = lambda _: None
 
     @property
     def renderer(self) -> Renderer:

@@ -252,33 +252,34 @@ class Record:
         return self._documents.path_of(self.document.id)
 
     def follow(self, context: PrewarmContext) -> None:
-        """Continue at the number of samples that an earlier prewarm of this order had reached, so
-        that it need not be found out once more; record each higher number that pictures ask for.
-        Raises StoreError.
+        """Start the prewarm of a ``context`` with as many samples as pictures of an earlier prewarm
+        of this order had needed, so that they need not be measured again; from then on, record each
+        higher number that pictures ask for. Raises StoreError.
         """
         former = [
             each.rung for each in recorded_prewarms(self._store) if each.id == self.document.id
         ]
         context.rung = max(context.rung, *former, FIRST_LEVEL)
-        context.climbed = lambda rung: self.keep(rung=rung)
+        context.rung_rose = lambda rung: self.keep(rung=rung)
         self.document = self.document.model_copy(update={"rung": context.rung})
 
     @contextmanager
-    def kept(
-        self, context: PrewarmContext, stopped: str, lasting: Callable[[], bool] = lambda: False
+    def recording(
+        self, context: PrewarmContext, stopped: str, stays_open: Callable[[], bool] = lambda: False
     ) -> Iterator[None]:
-        """Record the progress of a prewarm while the block runs, and the reason if it ends early.
+        """Record the progress of the prewarm that runs in the block with a ``context``, and the
+        reason if it ends early. Raises StoreError.
 
-        If the block is cancelled, the message ``stopped`` is written, unless ``lasting()`` is true:
-        the record then stays open, and the next server continues.
+        If the block is cancelled, the record is closed with the message ``stopped``, unless
+        ``stays_open()`` is true: the next server then finds it open, and continues the prewarm.
         """
         self.follow(context)
         self.keep(status=Status.RUNNING)
-        draw = context.report
+        show = context.report
 
-        # Record each step that is reported, as long as the block runs.
+        # Record each step of progress besides showing it.
         def report(step: Step) -> None:
-            draw(step)
+            show(step)
             self.report(step)
 
         context.report = report
@@ -286,7 +287,7 @@ class Record:
             yield
         except (Cancelled, KeyboardInterrupt):
             # A server that stops leaves its records open for the next one.
-            if not lasting():
+            if not stays_open():
                 self.keep(status=Status.DISMISSED, message=stopped)
             raise
         except Exception as error:

@@ -408,7 +408,7 @@ class Rounds:
         rung = self.pictures.rung
         lacking = self.pictures.look((middle, span[1]), end)
         if self.pictures.rung > rung:
-            self.context.climbed(self.pictures.rung)
+            self.context.rung_rose(self.pictures.rung)
         found = survey_surfaces(self.context, levels, self.pictures.rung, (span[1], span[1]))
         for wish in lacking.wishes:
             found.add(*wish)

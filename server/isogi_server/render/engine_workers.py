@@ -146,6 +146,6 @@ class EngineWorkers:
             raise WorkersError(MEMORY_STORE_UNSEEN)
         self._pool = pool.start_pool(self._workers, self._scheduler, kinds, self._stopped)
         # The pool calls the baker when workers come or return.
-        self._pool.attend(self._baker.stir)
-        self._baker.employ(self._pool)
+        self._pool.on_workers_changed(self._baker.dispatch)
+        self._baker.use_pool(self._pool)
         self._baker.prepare()

@@ -196,15 +196,16 @@ class FairSemaphore:
         self._pass_on()
 
     def _pass_on(self) -> None:
-        """Grant free places to the ranks that are next."""
-        # Drop work that was cancelled meanwhile.
-        self._waiting = [each for each in self._waiting if not each[1].done()]
-        # While other work is pressed, grant a place only if none is taken.
+        """Grant free places to waiting work, the lowest ``Rank.order`` first."""
+        # Drop work that was cancelled, or gave up, while it waited.
+        self._waiting = [(rank, place) for rank, place in self._waiting if not place.done()]
+        # If other work must run first, grant a single place, and only if none is taken.
         while self._waiting and self._free and (self._free == self._places or not self._pressed()):
             first = min(self._waiting, key=lambda each: each[0].order)
             self._waiting.remove(first)
             self._free -= 1
-            first[1].set_result(None)
+            _, place = first
+            place.set_result(None)
 
 
 class Room(FairSemaphore):

@@ -87,11 +87,12 @@ class UpdateBus:
     def pending(
         self, bake: str, chunks: Collection[Index], since: int, dark: Collection[Index] = ()
     ) -> Iterator[Pending]:
-        """Watch ``chunks`` of a bake, some of which are ``dark``, for the block.
+        """Yield the events of ``chunks`` of a bake while the block runs. Some of the chunks are
+        ``dark``: they had no light in the frame that was drawn last.
 
-        Updates with numbers above ``since`` count, also those that came before this call: a frame
-        drawn at update ``since`` misses none. If it is so old that updates since then are
-        forgotten, all chunks count as updated: who waits draws again, and sees.
+        All updates with numbers above ``since``, the newest one when that frame was drawn, set
+        events, also those that came before this call. If updates since then are forgotten, the
+        chunks count as updated, so that the frame is drawn again, once in vain at most.
         """
         pending = Pending(bake, set(chunks), set(dark))
         # Catch up with the updates since the frame was drawn.

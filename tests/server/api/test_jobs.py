@@ -241,7 +241,7 @@ def test_a_job_fails_where_its_light_cannot_be_baked(small_scene: Path, tmp_path
         httpx.Client(base_url=url, timeout=60) as client,
     ):
         begun = client.get(FRAME, params=VIEW, headers=ASYNC)
-        baker.employ(cast(WorkerPool, Broken()))
+        baker.use_pool(cast(WorkerPool, Broken()))
         over = until_over(client, begun.headers["location"])
     assert over["status"] == "failed"
     assert "cursed" in over["message"]

@@ -181,7 +181,7 @@ def test_the_rung_of_whole_isosurfaces_is_recorded(lit: Path, whole: Warm, tmp_p
     context = SimpleNamespace(rung=0)
     record.follow(context)  # type: ignore[arg-type]
     assert context.rung == record.document.rung == rung
-    context.climbed(2 * rung)
+    context.rung_rose(2 * rung)
     record.follow(context)  # type: ignore[arg-type]
     assert context.rung == 2 * rung
 

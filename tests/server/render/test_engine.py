@@ -478,7 +478,7 @@ from isogi_worker import pool
 class Idle:
     room, trouble, preparing, keeps_light = 0, "", "", False
     def __init__(self, *_): pass
-    def attend(self, stir): pass
+    def on_workers_changed(self, callback): pass
     def prepare(self, work): pass
     def close(self): pass
 

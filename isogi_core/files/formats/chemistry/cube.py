@@ -32,14 +32,14 @@ MOST_ATOMS = 1 << 24
 
 
 def is_cube(head: bytes) -> bool:
-    """Whether a file begins as a cube does."""
+    """Return True if a file begins as a cube does."""
     return _HEAD.match(head) is not None
 
 
 @dataclass(frozen=True)
 class Cube:
-    """What the header of a cube says: ``shape`` along its x, y, z, ``steps`` its axes' rows (3, 3),
-    and the ``names`` of its fields, the numbers of orbitals if it has such.
+    """The header of a cube: ``shape`` along its x, y, z, ``steps`` its axes' rows (3, 3), and the
+    ``names`` of its fields, the numbers of orbitals if it has such.
     """
 
     shape: tuple[int, int, int]
@@ -100,7 +100,7 @@ def read_header(text: Text) -> Cube:
 
 
 def _counts(text: Text, line: str) -> list[float]:
-    """A whole number, three numbers and, if it is there, another whole number, else 1."""
+    """Return a whole number, three numbers and another whole number, 1 if it is not there."""
     words = line.split()
     try:
         count, last = int(words[0]), int(words[4]) if len(words) > 4 else 1
@@ -116,9 +116,9 @@ def _counts(text: Text, line: str) -> list[float]:
 
 
 def _orbitals(text: Text) -> tuple[str, ...]:
-    """The numbers of the orbitals that follow the atoms: how many, and which, in one line or more.
-
-    Some programs write negative atoms and no such list: the next line then is one of values.
+    """Return the numbers of the orbitals that follow the atoms: first their count, then each, in
+    one line or more. Some programs write negative atoms and no such list: the next line then is one
+    of values.
     """
     line = text.line()
     words = line.split()

@@ -54,7 +54,7 @@ OF_MOLECULES = ("apbs", "vmd", "pme", "mdpocket", "mdanalysis", "gromacs", "pymo
 
 
 def is_dx(head: bytes) -> bool:
-    """Whether a file begins as OpenDX does: comments, and then an object of a class."""
+    """Return True if a file begins as OpenDX does: comments, and then an object of a class."""
     start = _COMMENTS.match(head)
     at = start.end() if start is not None else 0
     return _OBJECT.match(head, at) is not None or _POSITIONS.search(head) is not None
@@ -62,7 +62,7 @@ def is_dx(head: bytes) -> bool:
 
 @dataclass(frozen=True)
 class Placed:
-    """Where values lie: ``shape`` along x, y, z, and the ``matrix`` with the origin, (3, 4)."""
+    """The place of values: ``shape`` along x, y, z, and the ``matrix`` with the origin, (3, 4)."""
 
     shape: tuple[int, int, int]
     matrix: np.ndarray
@@ -71,7 +71,9 @@ class Placed:
 
 @dataclass(frozen=True)
 class Values:
-    """How numbers lie: their ``dtype``, how many ``each`` voxel has, and whether they are text."""
+    """The format of numbers: their ``dtype``, the number of them for ``each`` voxel, and True if
+    they are text.
+    """
 
     dtype: np.dtype[Any]
     each: int

@@ -36,7 +36,7 @@ places between two numbers without a blank.
 class Text:
     """The text of a packed or plain file, from its beginning on; ``name`` is for messages.
 
-    Methods raise VolumeError where it is damaged or ends too early.
+    Methods raise VolumeError if it is damaged or ends too early.
     """
 
     def __init__(self, file: Content, name: str) -> None:
@@ -47,7 +47,7 @@ class Text:
         self._ended = False
 
     def _more(self) -> bool:
-        """Read a block more; False at the end."""
+        """Read a block more; return False at the end."""
         try:
             block = self._file.read(BLOCK_BYTES)
         except PACKING_DAMAGE as error:
@@ -57,7 +57,10 @@ class Text:
         return bool(block)
 
     def line(self) -> str:
-        """The next line, without what ends it."""
+        """Return the next line without blanks at its ends. Raises VolumeError if there is none, or
+        if it has more than MAX_LINE bytes.
+        """
+        # Read blocks until one holds the end of the line, or the line is too long.
         while b"\n" not in self._rest[:MAX_LINE] and not self._ended and len(self._rest) < MAX_LINE:
             self._more()
         end = self._rest.find(b"\n", 0, MAX_LINE)
@@ -67,13 +70,14 @@ class Text:
             )
         if end < 0 and not self._rest:
             raise VolumeError(f"'{self.name}' ends within its header: copy it again.")
+        # The last line of a file may have no end.
         found = self._rest[:end] if end >= 0 else self._rest
         self._rest = self._rest[end + 1 :] if end >= 0 else b""
         return found.decode("latin-1").strip()
 
     def words(self, least: int, what: str) -> list[str]:
-        """The words of the next line. VolumeError where it has fewer than ``least``: ``what`` is
-        missing.
+        """Return the words of the next line. Raises VolumeError, which says ``what`` is missing, if
+        it has fewer than ``least``.
         """
         line = self.line()
         words = line.split()
@@ -82,7 +86,7 @@ class Text:
         return words
 
     def whole_numbers(self, count: int, what: str) -> list[int]:
-        """The first ``count`` whole numbers of the next line."""
+        """Return the first ``count`` whole numbers of the next line."""
         words = self.words(count, what)[:count]
         try:
             return [int(word) for word in words]
@@ -90,7 +94,7 @@ class Text:
             raise self._wrong(words, what) from error
 
     def reals(self, count: int, what: str) -> list[float]:
-        """The first ``count`` numbers of the next line, which are finite."""
+        """Return the first ``count`` numbers of the next line, which must be finite."""
         words = self.words(1, what)
         try:
             found, _ = numbers_in(" ".join(words).encode("latin-1"), count, self.name)
@@ -110,8 +114,8 @@ class Text:
         self._rest = line.encode("latin-1") + b"\n" + self._rest
 
     def binary(self, count: int, dtype: np.dtype[Any]) -> np.ndarray:
-        """The next ``count`` numbers as bytes of a type, (count,); memory is taken as they are
-        read.
+        """Return the next ``count`` numbers as bytes of a type, (count,); memory is allocated as
+        they are read.
         """
         size = count * dtype.itemsize
         while len(self._rest) < size and self._more():
@@ -121,8 +125,8 @@ class Text:
         return np.frombuffer(self._rest[:size], dtype)
 
     def find(self, pattern: "re.Pattern[bytes]") -> "re.Match[bytes] | None":
-        """The next match of a ``pattern``, after which reading goes on; None where there is none
-        and all is read.
+        """Return the next match of a ``pattern``, and go on reading after it; None if there is
+        none: all is read then.
         """
         while True:
             found = pattern.search(self._rest)
@@ -141,7 +145,7 @@ class Text:
             self._more()
 
     def numbers(self, count: int) -> Iterator[np.ndarray]:
-        """The next ``count`` numbers, float64, a block at a time."""
+        """Yield the next ``count`` numbers, float64, a block at a time."""
         while count > 0:
             text = self._whole_words()
             if not text.strip() and self._ended:
@@ -152,7 +156,7 @@ class Text:
             yield found
 
     def slabs(self, shape: Shape) -> Iterator[np.ndarray]:
-        """The next numbers as an array of a ``shape``, float64, some layers at a time."""
+        """Yield the next numbers as an array of a ``shape``, float64, some layers at a time."""
         layer = math.prod(shape[1:])
         deep = slab_layers(layer * np.dtype(np.float64).itemsize)
         for first in range(0, shape[0], deep):
@@ -160,7 +164,9 @@ class Text:
             yield filled(self.numbers(layers * layer), layers * layer).reshape(-1, *shape[1:])
 
     def _whole_words(self) -> bytes:
-        """Words of about a block, which ends between two of them; all that is left at the end."""
+        """Return words of about a block, which ends between two of them; all that is left at the
+        end.
+        """
         while len(self._rest) < BLOCK_BYTES and not self._ended:
             self._more()
         if self._ended:
@@ -178,7 +184,9 @@ GROWTH_NUMBERS = 1 << 20
 
 
 def filled(blocks: Iterable[np.ndarray], count: int) -> np.ndarray:
-    """The ``count`` numbers that ``blocks`` hold, (count,) float64, of which memory is taken."""
+    """Return the ``count`` numbers of ``blocks``, (count,) float64; memory grows with those that
+    were read.
+    """
     found = np.empty(min(count, GROWTH_NUMBERS))
     end = 0
     for block in blocks:
@@ -192,7 +200,8 @@ def filled(blocks: Iterable[np.ndarray], count: int) -> np.ndarray:
 
 
 def numbers_in(text: bytes, count: int, name: str) -> tuple[np.ndarray, bytes]:
-    """The first ``count`` numbers of a ``text``, or all, float64, and what follows them.
+    """Return the first ``count`` numbers of a ``text``, or all, float64, and the text that follows
+    them.
 
     Raises VolumeError if a word is no number.
     """
@@ -223,8 +232,8 @@ quotient is then the nearest number, as of any correct parser (Clinger 1990).
 
 
 def scientific_numbers(text: bytes) -> np.ndarray | None:
-    """All numbers of a ``text``, float64, if they are written alike, one digit and so many decimals
-    with an exponent of two digits, ``-1.23456E-05``; None if any is not.
+    """Return all numbers of a ``text``, float64, if all are written with one digit, equally many
+    decimals and an exponent of two digits, ``-1.23456E-05``; None if any is not.
 
     Most programs write all numbers so. They are read at once, by the places of their letters E.
     """
@@ -265,7 +274,7 @@ def scientific_numbers(text: bytes) -> np.ndarray | None:
 
 
 def first_words(text: bytes, count: int) -> tuple[list[bytes], bytes]:
-    """The first ``count`` words of a ``text``, or all, and what follows them."""
+    """Return the first ``count`` words of a ``text``, or all, and the text that follows them."""
     words = text.split(None, count)
     if len(words) > count:
         return words[:count], words[count]
@@ -273,7 +282,7 @@ def first_words(text: bytes, count: int) -> tuple[list[bytes], bytes]:
 
 
 def is_number(word: bytes) -> bool:
-    """Whether Python reads a ``word`` as a number."""
+    """Return True if Python reads a ``word`` as a number."""
     try:
         float(word)
     except ValueError:
@@ -282,13 +291,13 @@ def is_number(word: bytes) -> bool:
 
 
 def mended(text: bytes) -> bytes:
-    """A ``text`` with numbers of Fortran as Python reads them."""
+    """Return a ``text`` with numbers of Fortran written as Python reads them."""
     text = _TOUCHING.sub(b" ", text)
     return _WITHOUT_LETTER.sub(rb"E\1", _DIGIT_LETTER.sub(b"E", text))
 
 
 @contextmanager
 def text_of(source: Source) -> Iterator[Text]:
-    """The text of a ``source`` at its beginning."""
+    """Yield the text of a ``source`` at its beginning."""
     with source.unpacked() as file:
         yield Text(file, source.name)

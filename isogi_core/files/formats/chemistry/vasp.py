@@ -46,7 +46,7 @@ MOST_ATOMS = 1 << 24
 
 
 def is_vasp(head: bytes) -> bool:
-    """Whether a file begins as VASP's grids do: with a crystal."""
+    """Return True if a file begins as VASP's grids do: with a crystal."""
     return _HEAD.match(head) is not None
 
 
@@ -61,7 +61,7 @@ class Crystal:
 
     @property
     def volume(self) -> float:
-        """Volume of the cell, Å³."""
+        """The volume of the cell, Å³."""
         return float(abs(np.linalg.det(self.cell)))
 
 
@@ -104,8 +104,8 @@ def open_vasp(source: Source) -> Grid:
 
 
 def is_density(name: str) -> tuple[bool, str]:
-    """Whether values of a file of this ``name`` are a density times the cell's volume, and a note
-    that says so.
+    """Return True if values of a file of this ``name`` are a density times the cell's volume, and a
+    note that says so.
     """
     upper = name.replace("\\", "/").rpartition("/")[2].upper()
     if any(word in upper for word in POTENTIALS) and not any(w in upper for w in DENSITIES):
@@ -152,8 +152,8 @@ def read_header(text: Text) -> Crystal:
 
 
 def scaled(text: Text, cell: np.ndarray, scales: list[str]) -> np.ndarray:
-    """A ``cell`` in Å: times one scale or one for each axis of the world, or such that it has the
-    volume that a negative scale says.
+    """Return a ``cell`` in Å: times one scale, or one for each axis of the world, or with the
+    volume that a negative scale gives.
     """
     try:
         factors = np.array([float(word) for word in scales if word[:1] in "+-.0123456789"])
@@ -168,7 +168,7 @@ def scaled(text: Text, cell: np.ndarray, scales: list[str]) -> np.ndarray:
 
 
 def grid_line(shape: Shape) -> "re.Pattern[bytes]":
-    """Matches the line of sizes with which a further grid of this ``shape`` begins."""
+    """Return a pattern of the line of sizes with which a further grid of this ``shape`` begins."""
     sizes = rb"[ \t]+".join(str(n).encode() for n in shape[::-1])
     return re.compile(rb"^[ \t]*" + sizes + rb"[ \t]*\r?\n", re.MULTILINE)
 

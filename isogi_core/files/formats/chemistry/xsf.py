@@ -1,8 +1,9 @@
 """XCrySDen's files: XSF, fields in real space with x as the fastest, and BXSF, energies of bands in
 reciprocal space with z as the fastest.
 
-Both hold general grids: the last plane along each axis lies where the grid's vectors end, and is
-the first one again if these are vectors of the lattice. Format: http://www.xcrysden.org/doc/XSF.html.
+Both hold general grids: the last plane along each axis lies at the end of the grid's vectors, and
+is the first one again if these are vectors of the lattice. Format:
+http://www.xcrysden.org/doc/XSF.html.
 """
 
 import math
@@ -42,13 +43,15 @@ PERIODIC_AXES = {b"CRYSTAL": 3, b"SLAB": 2, b"POLYMER": 1}
 
 
 def is_xsf(head: bytes) -> bool:
-    """Whether a file begins as XCrySDen's do."""
+    """Return True if a file begins as XCrySDen's do."""
     return _START.match(head) is not None
 
 
 @dataclass(frozen=True)
 class Frame:
-    """Where a general grid lies: its ``shape`` along x, y, z, and its ``vectors``, rows (3, 3)."""
+    """The place of a general grid: its ``shape`` along x, y, z, its ``origin``, and its
+    ``vectors``, rows (3, 3).
+    """
 
     shape: tuple[int, int, int]
     origin: np.ndarray
@@ -56,7 +59,7 @@ class Frame:
 
     @property
     def matrix(self) -> np.ndarray:
-        """From indices to the world, (3, 4)."""
+        """The map from indices to the world, (3, 4)."""
         steps = self.vectors / np.maximum(np.array(self.shape) - 1, 1)[:, None]
         return np.column_stack([steps.T, self.origin])
 
@@ -93,14 +96,16 @@ PLACED_BY = "its origin and vectors"
 def general_grid(
     source: Source, frame: Frame, shape: Shape, slabs: Callable[[], Iterator[np.ndarray]]
 ) -> Grid:
-    """The grid of a ``shape`` (z, y, x) whose values lie in a ``frame``."""
+    """Return the grid of a ``shape`` (z, y, x) whose values lie in a ``frame``."""
     spacing = tuple(np.linalg.norm(frame.matrix[:, :3], axis=0).tolist())
     affine = Affine.of(frame.matrix)
     return Grid(shape, np.dtype(np.float64), spacing, slabs, source.stamp, affine)
 
 
 def _names(text: Text) -> tuple[str, ...]:
-    """The names of the grids of a file; their places if two have the same one or one has none."""
+    """Return the names of the grids of a file; their places if two have the same one or one has
+    none.
+    """
     found = []
     while (grid := text.find(_GRID)) is not None:
         found.append(grid[1].decode("latin-1"))
@@ -110,8 +115,8 @@ def _names(text: Text) -> tuple[str, ...]:
 
 
 def read_lattice(text: Text) -> tuple[np.ndarray | None, int]:
-    """The vectors of the lattice as rows (3, 3), None without them, and along how many of them the
-    structure repeats.
+    """Return the vectors of the lattice as rows (3, 3), None without them, and the number of those
+    along which the structure repeats.
     """
     repeating = 0
     while (found := text.find(_VECTORS)) is not None and b"GRID" not in found[1]:
@@ -123,7 +128,9 @@ def read_lattice(text: Text) -> tuple[np.ndarray | None, int]:
 
 
 def along_lattice(vectors: np.ndarray, lattice: np.ndarray | None, repeating: int) -> Periodic:
-    """Along which axes a grid of these ``vectors`` is a whole period of the ``lattice``."""
+    """Return for each axis of a grid of these ``vectors`` True if the grid is a whole period of the
+    ``lattice`` along it.
+    """
     if lattice is None or abs(np.linalg.det(lattice)) == 0.0:
         return (False, False, False)
     parts = vectors @ np.linalg.inv(lattice)
@@ -153,7 +160,7 @@ def _frame(text: Text) -> Frame:
 
 
 def _slabs(source: Source, chosen: int, shape: tuple[int, int, int]) -> Iterator[np.ndarray]:
-    """The layers of a grid without the planes that repeat the first ones."""
+    """Yield the layers of a grid without the planes that repeat the first ones."""
     with text_of(source) as text:
         frame = read_frame(text, chosen)
         left = shape[0]
@@ -192,7 +199,7 @@ def _open_bands(source: Source) -> Grid:
 
 
 def _of_bands(names: tuple[str, ...], crossing: list[int], first: int) -> tuple[str, ...]:
-    """What there is to say of a band that nobody chose."""
+    """Return a note that lists the bands, as none was chosen."""
     if len(names) == 1:
         return ()
     crossed = ", ".join(names[place] for place in crossing) or "none of them"
@@ -204,7 +211,9 @@ def _of_bands(names: tuple[str, ...], crossing: list[int], first: int) -> tuple[
 
 
 def read_fermi(text: Text) -> float | None:
-    """The Fermi energy, None if the file names none before its bands."""
+    """Return the Fermi energy in the unit of the bands; None if the file names none before its
+    bands, or no finite number.
+    """
     found = text.find(_FERMI)
     if found is None:
         return None
@@ -221,7 +230,7 @@ MOST_BANDS = 4096
 def _read_bands(
     text: Text, count: int, frame: Frame, fermi: float | None
 ) -> tuple[tuple[str, ...], list[int]]:
-    """The names of the bands, and the places of those that cross the Fermi energy."""
+    """Return the names of the bands, and the places of those that cross the Fermi energy."""
     if not 0 < count <= MOST_BANDS:
         raise VolumeError(f"'{text.name}' has {count} bands, which cannot be: write it again.")
     names, crossing = [], []

@@ -115,7 +115,8 @@ VOXELS_WITHHELD = (
 async def read_card(
     request: Request, scene: SceneDep, params: ViewParamsDep, service: ServiceDep
 ) -> Response:
-    """Say if a page may draw a view itself, and return all that it needs besides voxels and texels.
+    """Say if the visitor's graphics card can draw a view, and return all that it needs besides
+    voxels and texels.
 
     Nothing in the document depends on the camera or on the rotation of the light.
     """

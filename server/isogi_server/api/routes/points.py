@@ -72,19 +72,19 @@ async def read_point(
     """
     params, applied = preferences.fill(params)
     pixel = params.pixel
-    lit = await service.variant(scene, params, client_of(request.scope))
+    variant = await service.variant(scene, params, client_of(request.scope))
     if params.exposure is None:
-        exposure = lit.default_exposure
+        exposure = variant.default_exposure
     else:
         exposure = params.exposure
     response.headers.update(applied | {"Cache-Control": "no-cache", "Vary": "Prefer"})
 
     def finish(shown: Shown) -> PointSchema:
-        # A view with ``columns`` is a part of the picture: here that one pixel, at (0, 0).
+        # If the picture was not drawn lately, the view is cut to one pixel, which is at (0, 0).
         place = pixel if shown.frame.view.columns is None else (0, 0)
-        return point_schema(lit, shown.frame, place, exposure)
+        return point_schema(variant, shown.frame, place, exposure)
 
-    return await service.render(request, lit, params, finish, pixel=pixel)
+    return await service.render(request, variant, params, finish, pixel=pixel)
 
 
 @router.get(
