@@ -57,7 +57,7 @@ LIBRARIES = {
         "api/connections.py and cli/serve.py in server/isogi_server; run tests/server/api/guards",
     ),
     "zarr": Private(
-        "3.2",
+        "3.5",
         ("zarr.core", "zarr.storage._common"),
         (
             "zarr.core.buffer:default_buffer_prototype",
