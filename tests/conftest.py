@@ -273,4 +273,5 @@ def unfiltered(monkeypatch: pytest.MonkeyPatch) -> None:
     """No light is so grainy that it is filtered: what is drawn of whole chunks is what a view
     draws, to the bit.
     """
-    monkeypatch.setattr(texel_reading, "GRAIN", 1e9)
+    none = property(lambda reading: np.zeros(len(reading.samples), np.bool_))
+    monkeypatch.setattr(texel_reading.Reading, "grainy", none)

@@ -159,7 +159,7 @@ async def test_a_stream_changes_light_and_material(live_server: str) -> None:
     assert len(set(await pictures_on(f"{live_server}{SCENE}/stream", [*lights, *materials]))) == 5
 
 
-def test_light_that_no_texel_keeps_for_all_turns_is_baked_for_each(client: httpx.Client) -> None:
+def test_light_that_does_not_turn_is_baked_for_each_turn(client: httpx.Client) -> None:
     wax = {"material": "subsurface,mean_free_path=1"}
     own = final(client, **SMALL, **wax, max_error=0.2)
     turned = final(client, **SMALL, **wax, max_error=0.2, yaw=178)
@@ -167,14 +167,16 @@ def test_light_that_no_texel_keeps_for_all_turns_is_baked_for_each(client: httpx
     on = numbers(own)[..., 3] > 0
     assert (on == (numbers(turned)[..., 3] > 0)).all(), "the same surface"
     change = np.abs(numbers(turned)[on, :3] - numbers(own)[on, :3]).mean()
-    assert change > 0.1 * numbers(own)[on, :3].mean()
+    assert change > 0.04 * numbers(own)[on, :3].mean()
     again = client.get(
         f"{SCENE}/frame",
         params={**SMALL, **wax, "max_error": 0.2, "yaw": 180},
         headers={"If-None-Match": turned.headers["etag"]},
     )
     assert again.status_code == 304, "angles are rounded to steps of 5 degrees"
-    twice = client.get(f"{SCENE}/frame", params={**SMALL, **wax, "light": "0,0,0,1"})
+    twice = client.get(
+        f"{SCENE}/frame", params={**SMALL, **wax, "max_error": 0.2, "light": "0,0,0,1"}
+    )
     assert twice.headers["isogi-provisional"] == "?0", "a quaternion of the same turn"
 
 
