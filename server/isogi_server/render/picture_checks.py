@@ -5,7 +5,7 @@ import threading
 import time
 from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from isogi_core.errors import IsogiError
 from isogi_core.model.view import View
@@ -23,6 +23,11 @@ MAX_WAITING_PICTURES = 64
 LIGHT_PATIENCE_SECONDS = 2.0
 """Time for which a picture with a part of its light waits for the rest before control pixels
 measure it as it is: their paths would take processors from workers, and delay the whole picture.
+"""
+
+FAILURE_PATIENCE_SECONDS = 10.0
+"""Time after which a picture is checked again whose check failed by an unexpected error. Clients
+that wait for the picture ask many times a second.
 """
 
 
@@ -57,6 +62,8 @@ class PictureChecks:
         self._step = step
         self._notify = notify
         self._wanted: OrderedDict[Viewer, Picture] = OrderedDict()
+        # Pictures whose check failed, until the times at which they may be checked again.
+        self._failed: dict[Picture, float] = {}
         self._changed = threading.Condition()
         self._closed = False
         self._thread: threading.Thread | None = None
@@ -68,7 +75,12 @@ class PictureChecks:
         that it looked at before. Asked for again, a picture keeps the earlier time.
         """
         with self._changed:
-            picture = Picture(scene, view, target, due=time.monotonic() + delay)
+            now = time.monotonic()
+            picture = Picture(scene, view, target, due=now + delay)
+            # Wait longer for a picture whose check failed a moment ago.
+            self._failed = {each: until for each, until in self._failed.items() if until > now}
+            if (until := self._failed.get(picture)) is not None:
+                picture = replace(picture, due=max(picture.due, until))
             former = self._wanted.get(viewer)
             if self._closed or (former and former == picture and former.due <= picture.due):
                 return
@@ -112,10 +124,13 @@ class PictureChecks:
                 log.debug("a picture is not checked: %s", error)
                 more = False
             except Exception:
-                # An unexpected error ends the check of this picture only.
+                # An unexpected error ends the check of this picture only, for some time.
+                with self._changed:
+                    self._failed[picture] = time.monotonic() + FAILURE_PATIENCE_SECONDS
                 log.exception(
                     "The check of a picture failed: it keeps the error that it has, others are "
-                    "checked."
+                    "checked, and it is tried again if it is looked at in %g s.",
+                    FAILURE_PATIENCE_SECONDS,
                 )
                 more = False
             if not more:

@@ -2,6 +2,7 @@
 
 import math
 import threading
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -76,14 +77,32 @@ def test_a_check_that_breaks_leaves_the_others(
     steps: Steps, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     said: list[str] = []
-    monkeypatch.setattr(picture_checks.log, "exception", said.append)
+    monkeypatch.setattr(picture_checks.log, "exception", lambda text, *_: said.append(text))
     steps.broken = 0.1
     steps.ask(0.1)
     steps.end(1)
+    steps.ask(0.1)  # it waits, and gives way to the next
     steps.ask(0.2)
     steps.end(1)
     assert steps.told == [(0.1, False), (0.2, False)]
     assert [line.partition(":")[0] for line in said] == ["The check of a picture failed"]
+
+
+def test_a_check_that_broke_is_tried_again_later(
+    steps: Steps, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(picture_checks.log, "exception", lambda *_: None)
+    monkeypatch.setattr(picture_checks, "FAILURE_PATIENCE_SECONDS", 0.2)
+    steps.broken = 0.1
+    begun = time.monotonic()
+    steps.ask(0.1)
+    steps.end(1)
+    # However often it is asked for, it is not checked before.
+    for _ in range(50):
+        steps.ask(0.1)
+    steps.end(1)
+    assert time.monotonic() - begun >= 0.2
+    assert steps.taken == [0.1, 0.1]
 
 
 def test_the_newest_picture_comes_first(steps: Steps) -> None:
