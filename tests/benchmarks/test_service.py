@@ -55,6 +55,7 @@ def test_load() -> None:
     assert found["requests in progress, afterwards"] == 0
 
 
+@pytest.mark.long
 def test_memory() -> None:
     found = figures(
         memory, "--uploads", "6", "--uploads-mb", "1", "--views", "4", "--requests", "1"

@@ -182,7 +182,7 @@ def test_a_scheduler_that_was_restarted_unnoticed_is_joined_anew(
         with lone_scheduler(port) as second:
             assert wait_for(lambda: client.scheduler_info().get("id") == second.scheduler.id, LONG)
             monkeypatch.setattr("isogi_worker.dask_pool.CHECK_SECONDS", 0.1)
-            joined._moved.set()
+            joined._notified.set()
             assert wait_for(lambda: joined._client is not client and joined.connected, LONG)
             second.scale(1)
             assert wait_for(lambda: joined.trouble == "", LONG)

@@ -151,7 +151,11 @@ def share_that_differs(found: dict[str, Any]) -> tuple[float, int]:
 
 @pytest.mark.parametrize(
     ("server", "shading"),
-    [*(("plain", shading) for shading in SHADINGS), ("coloured", "gi"), ("coloured", "phong")],
+    [
+        *(pytest.param("plain", shading, marks=pytest.mark.long) for shading in SHADINGS),
+        ("coloured", "gi"),
+        ("coloured", "phong"),
+    ],
     indirect=["server"],
 )
 def test_a_resting_card_shows_what_the_server_does(

@@ -206,6 +206,7 @@ def test_the_page_fits_windows_of_all_sizes(page: Page) -> None:
                 assert box["x"] + box["width"] <= width and box["y"] + box["height"] <= height, what
 
 
+@pytest.mark.long
 def test_the_first_camera_fits_narrow_and_low_stages(
     page: Page, site: Site, tmp_path: Path
 ) -> None:
