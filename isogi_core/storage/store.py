@@ -455,9 +455,10 @@ class Store:
             if writing and isinstance(trouble, StoreFullError | StoreReadOnlyError):
                 raise trouble from error
             # Check the store immediately: if it is gone, this raises, and later calls need not
-            # fail one by one.
+            # fail one by one. A store that refuses a write may still be read: reads go on
+            # meanwhile.
             self._checked_until = -1.0
-            if self.url.remote:
+            if self.url.remote and not writing:
                 self._away = self._away or trouble
             if writing:
                 self.check_writable()
