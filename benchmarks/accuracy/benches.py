@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from benchmarks.common.scenes import Subject, scene_of
+from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from isogi_report.bench import Bench
@@ -21,9 +22,16 @@ Settings = Callable[[str], Mapping[str, Any]]
 
 def bench_of(scene: Scene, size: int, folder: Path) -> Bench:
     """The bench of a scene as reports see it, in a picture of ``size`` × ``size`` pixels."""
-    return Bench(
-        scene, view_of(scene, size, camera=scene.camera(**DEFAULT_VIEWPOINT, fov=30.0)), folder
-    )
+    return Bench(scene, report_view(scene, size), folder)
+
+
+def report_view(scene: Scene, size: int, further: float = 0.0) -> View:
+    """The view of a scene as reports see it, or from a camera ``further`` degrees of azimuth on, in
+    a picture of ``size`` × ``size`` pixels.
+    """
+    azimuth = DEFAULT_VIEWPOINT["azimuth"] + further
+    camera = scene.camera(**{**DEFAULT_VIEWPOINT, "azimuth": azimuth}, fov=30.0)
+    return view_of(scene, size, camera=camera)
 
 
 def benches(

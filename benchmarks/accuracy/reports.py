@@ -11,12 +11,12 @@ from typing import Any
 
 import click
 
+from benchmarks.accuracy.benches import report_view
 from benchmarks.accuracy.summary import summary_of
 from benchmarks.common.measurement import Measurement
 from benchmarks.common.scenes import SIX, Subject, scene_of
 from benchmarks.common.suite import part
-from isogi_report.command import DEFAULT_VIEWPOINT, ReportRequest, report_of, sentence
-from isogi_report.speed import view_of
+from isogi_report.command import ReportRequest, report_of, sentence
 from isogi_server.cli.arguments import duration
 
 
@@ -45,7 +45,7 @@ def reports(output: Path, size: int, deadline: float | None) -> Measurement:
 def make(subject: Subject, folder: Path, size: int, deadline: float | None) -> dict[str, Any]:
     """The report of a subject: what the command would tell of it."""
     scene = scene_of(subject)
-    view = view_of(scene, size, camera=scene.camera(**DEFAULT_VIEWPOINT, fov=30.0))
+    view = report_view(scene, size)
     return report_of(
         scene, view, scene.default_exposure, ReportRequest(folder, deadline), time.monotonic()
     )

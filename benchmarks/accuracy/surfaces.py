@@ -23,7 +23,7 @@ from typing import Any
 import click
 import numpy as np
 
-from benchmarks.accuracy.benches import wanted
+from benchmarks.accuracy.benches import report_view, wanted
 from benchmarks.accuracy.kept import Kept
 from benchmarks.common.measurement import Measurement, markdown
 from benchmarks.common.scenes import LIGHTS, VOLUMES, shared_data
@@ -35,8 +35,6 @@ from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.store import unwrap_all
-from isogi_report.command import DEFAULT_VIEWPOINT
-from isogi_report.speed import view_of
 from isogi_server.cli.render import awaited
 from isogi_server.render.engine import RenderEngine
 
@@ -198,7 +196,7 @@ def slid(name: str, scene: Scene, size: int, paths: int) -> Slide:
 def shown(engine: RenderEngine, scene: Scene, isovalue: int, size: int, paths: int) -> Found:
     """Bake the picture of an isovalue, and hold it against the truth."""
     view = replace(
-        view_of(scene, size, camera=scene.camera(**DEFAULT_VIEWPOINT, fov=30.0)),
+        report_view(scene, size),
         isovalue=float(isovalue),
     )
     folder = engine.store.url.folder

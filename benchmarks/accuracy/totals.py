@@ -24,7 +24,7 @@ from typing import Any
 import click
 import numpy as np
 
-from benchmarks.accuracy.benches import bench_of, wanted
+from benchmarks.accuracy.benches import bench_of, report_view, wanted
 from benchmarks.accuracy.formulas import KINDS, made
 from benchmarks.accuracy.kept import Kept
 from benchmarks.common.measurement import Measurement, markdown
@@ -40,7 +40,6 @@ from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.reference import Reference
 from isogi_report.bench import Bench, ViewBake, dark
-from isogi_report.command import DEFAULT_VIEWPOINT
 from isogi_report.metrics import score
 
 PLACES = (
@@ -77,6 +76,9 @@ them, and others.
 
 STEP = 10.0
 """Degrees of azimuth between a view and the next."""
+
+LATER = ", view "
+"""What stands before the number of a later view of a row, in its name."""
 
 NOISE = 0.005
 MOST = 64
@@ -300,7 +302,7 @@ def street() -> np.ndarray:
 def later(number: int) -> str:
     """What is added to a scene's name for the view of this ``number`` in a row, from 0 on."""
     if number:
-        return f", view {number + 1}"
+        return f"{LATER}{number + 1}"
     return ""
 
 
@@ -313,9 +315,7 @@ def measure(
     kept = bench.renderer(bench.scene)
     renderer = Renderer(kept.caches, bench.tiles)
     for number, name in enumerate(names):
-        azimuth = DEFAULT_VIEWPOINT["azimuth"] + STEP * number
-        camera = bench.scene.camera(**{**DEFAULT_VIEWPOINT, "azimuth": azimuth}, fov=30.0)
-        baked = replace(bench.view, camera=camera)
+        baked = report_view(bench.scene, bench.view.width, STEP * number)
         if angles:
             turned = replace(baked, light=quaternion_from_angles(*angles))
         else:
@@ -441,7 +441,7 @@ def figures_of_tails(found: Sequence[Found]) -> dict[str, float]:
 
 def figures_of_later_views(found: Sequence[Found]) -> dict[str, float]:
     """How well errors of the later views of rows are told; nothing if there is none."""
-    ends = [each.last.likely / max(each.true, 1e-6) for each in found if ", view " in each.name]
+    ends = [each.last.likely / max(each.true, 1e-6) for each in found if LATER in each.name]
     if not ends:
         return {}
     return {

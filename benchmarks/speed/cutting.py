@@ -17,14 +17,13 @@ from dataclasses import dataclass
 
 import click
 
+from benchmarks.accuracy.benches import report_view
 from benchmarks.common.measurement import Measurement, markdown
 from benchmarks.common.scenes import benchmark_scene
 from benchmarks.common.suite import part
 from isogi_core.kernels.shading.framebuffer import PROVISIONAL
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
-from isogi_report.command import DEFAULT_VIEWPOINT
-from isogi_report.speed import view_of
 from isogi_server.render.engine import RenderEngine
 from isogi_server.render.scene_variant import Change
 from isogi_server.render.variants import Variants
@@ -59,7 +58,7 @@ def cutting(size: int, workers: int) -> Measurement:
     light.
     """
     scene = benchmark_scene(None)
-    view = view_of(scene, size, camera=scene.camera(**DEFAULT_VIEWPOINT, fov=30.0))
+    view = report_view(scene, size)
     with (
         tempfile.TemporaryDirectory() as folder,
         closing(RenderEngine([scene], folder, workers=workers)) as engine,

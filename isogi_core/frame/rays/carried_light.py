@@ -6,16 +6,15 @@ that point is less than about a pixel away, and light changes little on the way.
 measure the picture afterwards, so that light which was carried too far shows as error.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 from typing import Any, Self
 
 import numpy as np
 
 from isogi_core.frame.lighting import RotatedLight
-from isogi_core.frame.rays.control_pixels import bounces_of_truth
+from isogi_core.frame.rays.control_pixels import paths_of_truth
 from isogi_core.frame.rays.own_light import REPLICAS, PixelLight
-from isogi_core.frame.rays.pixel_rays import Paths
 from isogi_core.frame.rays.point_paths import Estimate
 from isogi_core.frame.shot import Shot
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
@@ -44,7 +43,8 @@ class TracedPoints:
     """Points of a ``view`` whose light was traced.
 
     - ``rows`` (height, width) int32: number of the point that a pixel shows, -1 if it has none.
-    - ``points``, ``normals`` (k, 3) float32: their positions in the world, and outward normals.
+    - ``points``, ``normals`` (k, 3) float32: their positions in the volume's box, and outward
+      normals.
     - ``estimate``: sums of their paths; ``expected`` (k,): expected errors of the texels there.
     - ``shares`` (k,): shares of their light that were shown: below 1 in the rim of the chosen
       points, in which traced light fades out.
@@ -70,13 +70,12 @@ class TracedPoints:
         places = own.places[traced]
         rows = np.full(gbuffer.shape, -1, np.int32)
         rows.reshape(-1)[gbuffer.pixels[places]] = np.arange(len(places), dtype=np.int32)
-        estimate = Estimate(own.estimate.sums[traced], own.estimate.counts[traced])
         return cls(
             shot.view,
             rows,
             gbuffer.points[places] * np.array(gbuffer.spacing, np.float32),
             gbuffer.normals(shot.tiles)[places],
-            estimate,
+            own.estimate.part(traced),
             own.expected[places],
             np.broadcast_to(own.shares, own.places.shape)[traced],
             changes_by_pixel(rows, own.light[traced] @ LUMINANCE_WEIGHTS),
@@ -95,8 +94,8 @@ class TracedPoints:
         the rows of those that may take over light, ascending, the numbers of the points whose light
         they take, and their distances in pixels of the finer view; (j,) each. Raises Cancelled.
 
-        ``points`` (m, 3) are the world positions of the shot's points, and ``pixel_sides`` (m,) the
-        lengths of the sides of its pixels there, in the world.
+        ``points`` (m, 3) are the positions of the shot's points in the volume's box, and
+        ``pixel_sides`` (m,) the lengths of the sides of its pixels there.
         """
         # Find the pixel of this view in which each point lies, and the point that was traced there.
         columns, lines, depths = project(self.view, points)
@@ -170,10 +169,9 @@ class TracedLight:
         if not len(found):
             return PixelLight.none()
         # Filter the light as if its paths had been traced for these points.
-        part = gbuffer.part(found, shot.tiles)
-        paths = Paths(shot.light, part, shot.tiles, bounces_of_truth(shot.light))
-        own = PixelLight.of(found, Estimate(sums[found], counts[found]), paths, expected)
-        return replace(own, shares=shares[found])
+        paths = paths_of_truth(shot.light, gbuffer, found, shot.tiles)
+        estimate = Estimate(sums, counts).part(found)
+        return PixelLight.of(found, estimate, paths, expected, shares[found])
 
 
 def changes_by_pixel(rows: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -199,8 +197,8 @@ def changes_by_pixel(rows: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def project(view: View, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the columns and lines at which a ``view`` shows ``points`` (m, 3) of the world, in
-    pixels from the upper left corner, and their distances from the eye along its direction; (m,)
+    """Return the columns and lines at which a ``view`` shows ``points`` (m, 3) of the volume's box,
+    in pixels from the upper left corner, and their distances from the eye along its direction; (m,)
     each. Columns and lines mean nothing for points behind the eye.
     """
     right, up, forward = view.camera.basis()

@@ -241,9 +241,19 @@ def trace_controls(
     # A point that was drawn more than once is traced once: it would draw the same random numbers.
     distinct, rows = np.unique(places, return_inverse=True)
     sums = np.zeros((len(distinct), 2, 3))
-    paths_from = Paths(light, gbuffer.part(distinct, tiles), tiles, bounces_of_truth(light))
-    paths_from.add(sums, streams.CONTROLS_STREAM + 2 * stream, first, paths)
+    paths_of_truth(light, gbuffer, distinct, tiles).add(
+        sums, streams.CONTROLS_STREAM + 2 * stream, first, paths
+    )
     return np.asarray((sums @ LUMINANCE_WEIGHTS / paths)[rows])
+
+
+def paths_of_truth(
+    light: RotatedLight, gbuffer: GBuffer, places: np.ndarray, tiles: Tiles
+) -> Paths:
+    """Return the paths from the points of a G-buffer in rows ``places``, with as many bounces as
+    matter. Raises Cancelled.
+    """
+    return Paths(light, gbuffer.part(places, tiles), tiles, bounces_of_truth(light))
 
 
 def bounces_of_truth(light: RotatedLight) -> int:

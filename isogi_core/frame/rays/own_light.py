@@ -16,7 +16,7 @@ import numpy as np
 from isogi_core.bake.noise import RATE
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
-from isogi_core.frame.rays.control_pixels import bounces_of_truth
+from isogi_core.frame.rays.control_pixels import paths_of_truth
 from isogi_core.frame.rays.pixel_filter import (
     NoisyPixels,
     Surroundings,
@@ -106,10 +106,15 @@ class PixelLight:
 
     @classmethod
     def of(
-        cls, places: np.ndarray, estimate: Estimate, paths: Paths, expected: np.ndarray
+        cls,
+        places: np.ndarray,
+        estimate: Estimate,
+        paths: Paths,
+        expected: np.ndarray,
+        shares: np.ndarray | float = 1.0,
     ) -> "PixelLight":
-        """Return the light of the points of ``paths`` by an ``estimate``, filtered. Raises
-        Cancelled.
+        """Return the light of the points of ``paths`` by an ``estimate``, filtered, of which
+        ``shares`` are shown. Raises Cancelled.
         """
         means = estimate.means
         gbuffer = paths.gbuffer
@@ -125,7 +130,7 @@ class PixelLight:
         found, variance = filter_pixels(found, variance / grey, gbuffer, tiles)
         light = found[:, :3] * tints
         probes = found[:, 3:] * np.sqrt(grey)[:, None]
-        return cls(places, estimate, light, variance * grey, probes, expected)
+        return cls(places, estimate, light, variance * grey, probes, expected, shares)
 
     @property
     def count(self) -> int:
@@ -161,7 +166,7 @@ class PixelLight:
         # Expected errors of known points are those from before they had light of their own.
         expected = choice.errors.copy()
         expected[self.places] = self.expected[self.places]
-        paths = Paths(light, gbuffer.part(places, tiles), tiles, bounces_of_truth(light))
+        paths = paths_of_truth(light, gbuffer, places, tiles)
         estimate = Estimate.none(len(places), REPLICAS)
         known = np.isin(places, self.places, assume_unique=True)
         kept = np.isin(self.places, places, assume_unique=True)
@@ -174,7 +179,7 @@ class PixelLight:
             paths.of(rows).add(some, streams.PIXEL_LIGHT_STREAM, first, count - first, progress)
             estimate.sums[rows] = some
             estimate.counts[rows] = count
-        return replace(PixelLight.of(places, estimate, paths, expected), shares=choice.shares)
+        return PixelLight.of(places, estimate, paths, expected, choice.shares)
 
     def without(
         self, rows: np.ndarray, light: RotatedLight, gbuffer: GBuffer, tiles: Tiles
@@ -186,10 +191,9 @@ class PixelLight:
         if not kept.any():
             return PixelLight.none()
         places = self.places[kept]
-        estimate = Estimate(self.estimate.sums[kept], self.estimate.counts[kept])
-        paths = Paths(light, gbuffer.part(places, tiles), tiles, bounces_of_truth(light))
+        paths = paths_of_truth(light, gbuffer, places, tiles)
         shares = np.broadcast_to(self.shares, self.places.shape)[kept]
-        return replace(PixelLight.of(places, estimate, paths, self.expected), shares=shares)
+        return PixelLight.of(places, self.estimate.part(kept), paths, self.expected, shares)
 
     def put(
         self, framebuffer: Framebuffer, gbuffer: GBuffer, light: RotatedLight, tiles: Tiles

@@ -118,6 +118,10 @@ class Estimate:
         """The size of its arrays in bytes."""
         return self.sums.nbytes + self.counts.nbytes
 
+    def part(self, rows: np.ndarray) -> "Estimate":
+        """Return the estimate of the points in these ``rows``, numbers or a mask."""
+        return Estimate(self.sums[rows], self.counts[rows])
+
     @property
     def most(self) -> int:
         """The largest number of rays of each replica from any point."""

@@ -134,11 +134,10 @@ class LoadedScene:
         if coming is not None and (coming.measured is not None or not coming.provisional):
             return coming
         frame = self.renderer.render(view, target, cancelled, watch, enough)
-        if coming is None and frame.quality.fineness == self.fineness:
+        # A frame that needs no change is returned as it is: what was computed of it stays.
+        if coming is None and not self.fineness:
             return frame
-        if coming is None:
-            return replace(frame, quality=replace(frame.quality, fineness=self.fineness))
-        last = coming.quality.finer or coming
+        last = None if coming is None else coming.quality.finer or coming
         return replace(frame, quality=replace(frame.quality, fineness=self.fineness, finer=last))
 
     def _render_finer(
