@@ -10,7 +10,7 @@ from collections import OrderedDict
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import pairwise, product
+from itertools import count, pairwise, product
 from typing import NamedTuple
 
 import numpy as np
@@ -87,6 +87,12 @@ class Numbers:
         self._back.extend(numbers)
 
 
+AGES = count(1)
+"""Ages of all pools of the process. A pool that is made anew for the same light begins with an age
+that the one before it never had: pictures of that one are not taken for its own.
+"""
+
+
 class Held(NamedTuple):
     """Chunks that a frame holds: their ``slots`` (n,) int32, -1 if absent, and the ``age`` of the
     pool.
@@ -129,10 +135,10 @@ class PagePool:
         self._free_pages = Numbers(pages)
         self._free_slots = Numbers(slots)
         # The chunks in the pool, the longest unused first; the versions by slot, computed when they
-        # are asked for; and the number of insertions so far.
+        # are asked for; and the age.
         self._entries: OrderedDict[Index, Entry] = OrderedDict()
         self._versions: dict[int, bytes] = {}
-        self._age = 0
+        self._age = next(AGES)
         self._lock = threading.Lock()
 
     @property
@@ -142,8 +148,8 @@ class PagePool:
 
     @property
     def age(self) -> int:
-        """The number of insertions so far. As long as it stays the same, so does all light of
-        chunks that stay in the pool.
+        """A number that each insertion makes larger. As long as it stays the same, so does all
+        light of chunks that stay in the pool; no other pool ever has it.
         """
         return self._age
 
@@ -174,7 +180,7 @@ class PagePool:
         """
         counts = np.diff(chunks.bounds)
         with self._lock:
-            self._age += 1
+            self._age = next(AGES)
             # New light goes to other pages than the old: frames that hold the chunk read on from
             # the old ones. Each chunk takes whole pages, so round up. Chunks that are replaced may
             # be dropped for the new light, even if they are in ``keep``.

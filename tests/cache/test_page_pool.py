@@ -327,6 +327,17 @@ def test_the_age_tells_when_what_was_looked_up_may_have_changed(spec: BakeSpec) 
     assert pool.missing([index]) == [index]
 
 
+def test_a_pool_that_is_made_anew_has_no_age_of_the_former(spec: BakeSpec) -> None:
+    """Pictures are kept by ages: light of a pool that was dropped may have grown meanwhile."""
+    ages = []
+    for _ in range(2):
+        pool = PagePool(spec, 1 << 22)
+        ages.append(pool.age)
+        pool.insert(empty(spec, (0, 0, 0)))
+        ages.append(pool.age)
+    assert len({*ages}) == len(ages)
+
+
 # --- rows
 # --------------------------------------------------------------------------------------------------
 
