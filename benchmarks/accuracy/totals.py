@@ -309,8 +309,11 @@ def later(number: int) -> str:
 def measure(
     names: Sequence[str], bench: Bench, angles: tuple[float, float, float] | None, paths: int
 ) -> Iterator[Found]:
-    """Bring the pictures of a row of views, with the light turned by ``angles``, to their target,
-    one after the other by the same renderer, and hold each against the truth.
+    """Yield what is found of each view of a row, with the light turned by ``angles``: bring its
+    picture to its target, and hold it against the truth.
+
+    Texels are baked anew for each view, in unturned light. One renderer draws the row, so that
+    later views take over light that was traced for earlier ones.
     """
     kept = bench.renderer(bench.scene)
     renderer = Renderer(kept.caches, bench.tiles)

@@ -276,10 +276,11 @@ def some_located(located: Located, rows: np.ndarray) -> Located:
 
 
 def locate(texels: np.ndarray, prepared: PreparedScene, shown: Isovalue | None = None) -> Located:
-    """Find the points that texels are lit at, and which texels are void (m,).
+    """Find the points, in index space, that texels are lit at, and which texels are void (m,).
 
-    Points lie on the isosurfaces through the texels, or are projected onto the isosurface
-    ``shown``; texels that cannot be projected are void then (see ``project_texels``).
+    Points are the texels themselves, each on its own isosurface, or the rim of a plateau that they
+    lie on. If ``shown`` is given, they are projected onto that isosurface; texels that cannot be
+    projected are void then (see ``project_texels``).
     """
     m = len(texels)
     void = np.empty(m, np.bool_)

@@ -56,12 +56,12 @@ class Cost(NamedTuple):
         return None
 
     def ahead(self, paths: float, unlit: int = 0) -> float:
-        """Return the seconds that further ``paths`` will take, judged by this cost; 0 if it is of
-        none.
+        """Return the processor seconds that further ``paths`` will take, judged by this cost; 0 if
+        it has no paths.
 
-        The first FIRST_LEVEL of them of each of ``unlit`` texels are first light, and take as long
-        as that of other texels did. If one of the two is unknown, a path takes as long as the mean
-        of all paths.
+        Of these ``paths``, FIRST_LEVEL for each of ``unlit`` texels are first light, which takes as
+        long for a texel as before. If this cost has no first light, or no other, each path takes
+        the mean time of all.
         """
         if self.rate is None or not self.texels:
             return paths * self.seconds / max(self.paths, 1)

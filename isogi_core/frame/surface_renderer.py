@@ -170,7 +170,8 @@ class SurfaceRenderer:
 
     def _draw_texels(self, shot: Shot) -> Frame:
         """Draw a ``shot`` from the illumination cache: global illumination, or vicinity shading
-        (S1, section 4.2). A picture whose light has not changed since it was drawn is kept.
+        (S1, section 4.2). If ``_light_key`` gives a key, the picture is kept until its light
+        changes.
         """
         # The check of this picture knows how many samples its texels need. A caller that asks for
         # all samples there can be wants no check.
@@ -184,14 +185,17 @@ class SurfaceRenderer:
         if light is None:
             return self._carry_texels(texels, known, shot)
         # Requests that wait for light, and the check, ask for the same picture again and again.
+        # Each step of the check replaces ``known``, and may bring light of pixels.
         key = (DrawnPicture, shot.view, shot.goal, known, light)
         make = partial(self._carry_texels, texels, known, shot)
         return self._kept.get(key, lambda: DrawnPicture(make())).frame
 
     def _light_key(self, texels: ViewTexels, shot: Shot) -> Hashable | None:
-        """Return a key that stays the same as long as all light in the picture of a ``shot`` does,
-        if nothing but texels, lobes and paths of pixels lights it. None if its light may change
-        otherwise, if the view moves, or if pictures of this size are not kept.
+        """Return a key that changes whenever light in the picture of a ``shot`` may have changed,
+        besides that which its check knows.
+
+        None if no picture is kept: if the view moves, if its light may change otherwise (walls,
+        glow, shine, several surfaces), or if it exceeds the limit of its kind.
         """
         view = shot.view
         scene = shot.scene

@@ -159,10 +159,12 @@ class TexelShading:
         return self._kept.get((ViewTexels, surface_key(view), coarse), make)
 
     def ages(self, texels: ViewTexels, shot: Shot) -> tuple[int | None, ...] | None:
-        """Load the light of the ``texels`` of a ``shot``, and return numbers that change when it
-        does; None if other light may stand in for it.
+        """Load the light of the ``texels`` of a ``shot``, and return the ages of its page pools: as
+        long as these are equal, so is the light. None in place of them if a ``StandIn`` may lend
+        light, as its pool is not among them.
 
-        Raises the errors of ``Loader.ensure``.
+        The age of projected texels is None if memory has no room for them. Raises the errors of
+        ``Loader.ensure``.
         """
         if self._stand_in is not None:
             return None

@@ -96,8 +96,8 @@ class ViewChecks(Refinement[PictureCheck]):
         return taken
 
     def _carried(self, shot: Shot, uncertainty: np.ndarray) -> PixelLight | None:
-        """Return the light that the points of a ``shot`` take over from earlier views; None if
-        there is none. Raises Cancelled.
+        """Return the light that the points of a ``shot`` take over from earlier views; None if it
+        spares fewer paths than WORTH_CARRYING first measurements take. Raises Cancelled.
         """
         key = carried_key(shot.light)
         if key is None or (traced := self._kept.held(key)) is None:

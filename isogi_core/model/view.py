@@ -302,11 +302,13 @@ def angles_of(q: Quaternion) -> Turn:
 
 
 def nearest_turn(q: Quaternion) -> Turn:
-    """Return the turn whose angles are those of a unit quaternion, rounded to TURN_STEP; equal
-    turns have equal angles.
+    """Return yaw, pitch and roll of a unit quaternion, a turn in the world, each rounded to
+    TURN_STEP.
+
+    Angles that mean the same rotation become equal: at pitch ±90 roll is 0, and half a turn is 180.
     """
     yaw, pitch, roll = (TURN_STEP * round(angle / TURN_STEP) for angle in angles_of(q))
-    # Rounding may reach the pole, where yaw and roll turn about one axis.
+    # Rounding may reach the pole: only yaw - roll counts at pitch 90, and yaw + roll at -90.
     if abs(pitch) == 90.0:
         yaw -= roll * pitch / 90.0
         roll = 0.0

@@ -83,9 +83,11 @@ def under(scene: Scene, environment: str, name: str) -> Scene:
 
 
 def turned_by(scene: Scene, turn: Turn, name: str) -> Scene:
-    """Make the scene with its environment turned by ``turn``, for views with this turn of the
-    light, by the id ``name``. Walls stay, the volume is shared, and the exposure is that of the
-    scene.
+    """Make the scene with its environment turned by ``turn`` in the world, for views with this turn
+    of the light. Its id is ``name``. The ``scene`` itself must not be such a variant.
+
+    Walls stay, and the volume is shared. The exposure stays too, so that pictures keep their
+    brightness while light turns. Raises as ``build_scene`` does.
     """
     # A scene may have turned its environment itself: the turn of the views comes after that.
     own = rotation_matrix(quaternion_from_angles(*scene.source.document.get("turned", NO_TURN)))

@@ -440,11 +440,12 @@ class Store:
 
     @contextmanager
     def _translated_errors(self, action: str, writing: bool = False) -> Iterator[None]:
-        """Raise a backend's error as StoreAwayError if the store is away, else as StoreError of
-        this object.
+        """Translate a backend's errors in the block; ``action`` completes "Cannot …", as in
+        ``store_error``. A StoreError passes as it is.
 
-        A write that fails for lack of room or of permission raises StoreFullError or
-        StoreReadOnlyError.
+        If a write lacks room or permission, raise StoreFullError or StoreReadOnlyError. Any other
+        error has the store checked immediately: raise the error of the check, or StoreError for
+        this action alone if the store passes.
         """
         try:
             yield

@@ -90,9 +90,10 @@ class TracedPoints:
     def pairs(
         self, shot: Shot, points: np.ndarray, pixel_sides: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Match points of another ``shot`` with the points of this view that are nearest. Return
-        the rows of those that may take over light, ascending, the numbers of the points whose light
-        they take, and their distances in pixels of the finer view; (j,) each. Raises Cancelled.
+        """Match points of another ``shot`` with those that were traced for the pixels of this view
+        in which they lie. Return the rows of those that may take over light, ascending, the numbers
+        of the points whose light they take, and their distances in pixels of the finer view; (j,)
+        each. Raises Cancelled.
 
         ``points`` (m, 3) are the positions of the shot's points in the volume's box, and
         ``pixel_sides`` (m,) the lengths of the sides of its pixels there.
@@ -113,7 +114,8 @@ class TracedPoints:
         cosines = (normals[places] * self.normals[numbers]).sum(axis=1)
         near = (away <= FARTHEST) & (cosines >= LEAST_COSINE)
         # Leave out points at edges of shadows, where light changes within a part of a pixel, and
-        # those at outlines, whose changes are infinite, at any distance.
+        # those at the rim of the traced pixels, whose changes are unknown and thus infinite, at any
+        # distance.
         least = np.finfo(np.float64).tiny
         near &= self.changes[numbers] * np.maximum(away, least) <= MOST_CHANGE * shot.goal.error
         return places[near], numbers[near], away[near]
@@ -178,8 +180,9 @@ def changes_by_pixel(rows: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Return the largest difference of each of the ``values`` (k,) from those of the eight pixels
     around it, relative to the value; (k,).
 
-    It is infinite if fewer than LEAST_NEIGHBOURS of these have a value, as at the outline of the
-    surface. ``rows`` (height, width) has the number of each pixel's value, -1 if it has none.
+    It is infinite if fewer than LEAST_NEIGHBOURS of these have a value, as at the rim of the pixels
+    that were traced. ``rows`` (height, width) has the number of each pixel's value, -1 if it has
+    none.
     """
     worst = np.zeros(len(values))
     neighbours = np.zeros(len(values), np.int64)

@@ -184,8 +184,9 @@ class PixelLight:
     def without(
         self, rows: np.ndarray, light: RotatedLight, gbuffer: GBuffer, tiles: Tiles
     ) -> "PixelLight":
-        """Return the light of all points but those in some ``rows`` (k,) of a G-buffer, filtered
-        anew. Raises Cancelled.
+        """Return this light without the points in some ``rows`` of a G-buffer; the others keep
+        their paths. It is filtered anew, as the filter had mixed in light of the points that are
+        gone. Raises Cancelled.
         """
         kept = ~np.isin(self.places, rows, assume_unique=True)
         if not kept.any():

@@ -71,8 +71,12 @@ class PictureChecks:
     def request(
         self, scene: str, view: View, target: float, viewer: Viewer, delay: float = 0.0
     ) -> None:
-        """Have a picture checked for a ``viewer`` after ``delay`` seconds, in place of the picture
-        that it looked at before. Asked for again, a picture keeps the earlier time.
+        """Have a picture checked for a ``viewer`` after ``delay`` seconds, or later if its check
+        failed a moment ago. It replaces the picture that the viewer looked at before, whose step is
+        cancelled.
+
+        If the same picture is asked for again, it keeps the earlier time, and a step of it that is
+        running goes on. If too many pictures wait, the oldest request is dropped.
         """
         with self._changed:
             now = time.monotonic()
@@ -121,6 +125,8 @@ class PictureChecks:
             try:
                 more = self._step(picture.scene, picture.view, picture.target, picture.cancelled)
             except IsogiError as error:
+                # Expected, as when nobody wants the picture any more: it may be asked for again
+                # immediately.
                 log.debug("a picture is not checked: %s", error)
                 more = False
             except Exception:

@@ -255,9 +255,10 @@ def go_on(field, matter, wave, passage, ray, i, place):
 @kernel()
 def pass_matter(field, cells, walls, matter, wave, passage, bounce, count):
     """Follow the first ``count`` rays of a ``PathWave`` through matter to walls or out of the
-    scene.
+    scene. The ``passage`` then has the walls they ``met``, and as ``origins`` the points there.
 
-    ``bounce`` is the number of the vertex that they start from. Throughputs shrink on the way.
+    ``bounce`` is the number of the vertex that they start from. Throughputs shrink on the way; a
+    ray that is absorbed, or not out after MAX_STEPS, counts as out of the scene with throughput 0.
     """
     for i in range(count):
         passage.pending[i] = i
