@@ -354,6 +354,7 @@ def test_specs_share_memory_by_equal_numbers_of_texels(tmp_path: Path) -> None:
 
 def test_all_scenes_of_a_store_share_its_threads(s3: S3Server) -> None:
     """Each cut, light and material of a scene has a loader of its own."""
+    before = set(threading.enumerate())  # other tests' stores may still be there
     store = Store(s3.url)
     specs = [spec_of(albedo=albedo) for albedo in (0.3, 0.5, 0.7)]
     for spec in specs:
@@ -364,7 +365,7 @@ def test_all_scenes_of_a_store_share_its_threads(s3: S3Server) -> None:
         caches = Caches(spec.prepared, store, BUDGET)
         for name in SPECS:
             caches.of(name).ensure([*np.ndindex(3, 3, 3)])
-    names = [each.name for each in threading.enumerate()]
+    names = [each.name for each in set(threading.enumerate()) - before]
     assert 0 < sum(name.startswith("loader") for name in names) <= REMOTE_READERS
 
 
