@@ -258,7 +258,7 @@ def load_reference(path: Path, scene: Scene, view: View) -> Reference:
 
 
 @dataclass(frozen=True)
-class Goal:
+class ReferenceGoal:
     """The condition at which a reference stops to grow: the first to be met of ``samples``,
     ``noise`` and ``seconds``.
     """
@@ -269,8 +269,8 @@ class Goal:
 
     def met(self, reference: Reference) -> bool:
         """Return True if a reference has the samples, or at most the noise, of this goal."""
-        enough = self.samples is not None and reference.samples >= self.samples
-        return enough or (self.noise is not None and reference.noise <= self.noise)
+        sampled = self.samples is not None and reference.samples >= self.samples
+        return sampled or (self.noise is not None and reference.noise <= self.noise)
 
     def foresee(self, reference: Reference) -> int | None:
         """Return the samples at which a reference is expected to stop, without regard to time;
@@ -288,7 +288,7 @@ class Goal:
 def grow_reference(
     renderer: Renderer,
     view: View,
-    goal: Goal,
+    goal: ReferenceGoal,
     former: Reference | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> Iterator[Reference]:

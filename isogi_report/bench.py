@@ -32,8 +32,8 @@ from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.reference import (
-    Goal,
     Reference,
+    ReferenceGoal,
     grow_reference,
     load_reference,
     refuse_several,
@@ -317,7 +317,7 @@ class Bench:
         """
         found: Reference = self.once(("grown", noise), lambda: self._grow(noise))
         # The reference is noisier than it should be: another run may do better.
-        if not goal_of(noise).met(found):
+        if not reference_goal(noise).met(found):
             self.hurry.set()
         return found
 
@@ -327,7 +327,7 @@ class Bench:
         """
         found = self.reference(MIN_REFERENCE_PATHS)
         scene = self.whole
-        goal = goal_of(noise)
+        goal = reference_goal(noise)
         if math.isfinite(self.left):
             goal = replace(goal, seconds=REFERENCE_SHARE * self.left)
         for grown in grow_reference(self.renderer(scene), self.view, goal, found):
@@ -394,9 +394,9 @@ class Bench:
         return self._made[key]
 
 
-def goal_of(noise: float) -> Goal:
+def reference_goal(noise: float) -> ReferenceGoal:
     """Return the goal of a reference with at most this relative ``noise``."""
-    return Goal(samples=MAX_REFERENCE_PATHS, noise=noise)
+    return ReferenceGoal(samples=MAX_REFERENCE_PATHS, noise=noise)
 
 
 def whole_paths(scene: Scene, bounces: int | None = None) -> Scene:

@@ -14,7 +14,7 @@ from isogi_core.errors import Cancelled, ReportError
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.reference import (
-    Goal,
+    ReferenceGoal,
     grow_reference,
     load_reference,
     save_reference,
@@ -48,29 +48,31 @@ def tracer(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("goal", "former", "expected"),
     [
-        (Goal(samples=100), None, [16, 32, 64, 104]),
-        (Goal(samples=5), None, [8]),
-        (Goal(noise=1 / 64), None, [16, 32, 64]),
-        (Goal(noise=1 / 65), None, [16, 32, 64, 128]),
-        (Goal(seconds=100.0), None, [16, 32, 64, 96]),
-        (Goal(seconds=0.0), None, [16]),
-        (Goal(samples=64, seconds=1000.0), None, [16, 32, 64]),
-        (Goal(samples=64), 64, []),
-        (Goal(samples=65), 64, [72]),
-        (Goal(seconds=200.0), 64, [128, 256, 264]),
+        (ReferenceGoal(samples=100), None, [16, 32, 64, 104]),
+        (ReferenceGoal(samples=5), None, [8]),
+        (ReferenceGoal(noise=1 / 64), None, [16, 32, 64]),
+        (ReferenceGoal(noise=1 / 65), None, [16, 32, 64, 128]),
+        (ReferenceGoal(seconds=100.0), None, [16, 32, 64, 96]),
+        (ReferenceGoal(seconds=0.0), None, [16]),
+        (ReferenceGoal(samples=64, seconds=1000.0), None, [16, 32, 64]),
+        (ReferenceGoal(samples=64), 64, []),
+        (ReferenceGoal(samples=65), 64, [72]),
+        (ReferenceGoal(seconds=200.0), 64, [128, 256, 264]),
     ],
 )
-def test_rounds_double_up_to_the_goal(goal: Goal, former: int | None, expected: list[int]) -> None:
+def test_rounds_double_up_to_the_goal(
+    goal: ReferenceGoal, former: int | None, expected: list[int]
+) -> None:
     """From nothing, or from a reference of so many samples."""
     grown = grow_reference(None, None, goal, former and make(former))  # type: ignore[arg-type]
     assert [each.samples for each in grown] == expected
 
 
 def test_what_is_still_to_come_is_foreseen() -> None:
-    assert Goal(samples=100).foresee(make(16)) == 100
-    assert Goal(noise=1 / 64).foresee(make(64)) == 64
-    assert Goal(noise=1 / 128).foresee(make(64)) == 256, "64 · 2^1.75, and rounds double"
-    assert Goal(seconds=3.0).foresee(make(64)) is None
+    assert ReferenceGoal(samples=100).foresee(make(16)) == 100
+    assert ReferenceGoal(noise=1 / 64).foresee(make(64)) == 64
+    assert ReferenceGoal(noise=1 / 128).foresee(make(64)) == 256, "64 · 2^1.75, and rounds double"
+    assert ReferenceGoal(seconds=3.0).foresee(make(64)) is None
 
 
 @pytest.fixture(scope="module")

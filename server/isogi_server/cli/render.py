@@ -28,8 +28,8 @@ from isogi_core.plan.scene import Scene
 from isogi_core.plan.variants import at_both_signs
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.reference import (
-    Goal,
     Reference,
+    ReferenceGoal,
     grow_reference,
     load_reference,
     save_reference,
@@ -393,15 +393,16 @@ def reference(
     """Continue the path-traced reference of a view in the file ``output``, and return facts about
     its quality.
 
-    The file is written after each round. ``goal`` are the fields of a Goal. Raises SceneError,
-    VolumeError, LightError and ViewError before any work, and ReportError and OSError later.
+    The file is written after each round. ``goal`` are the fields of a ReferenceGoal. Raises
+    SceneError, VolumeError, LightError and ViewError before any work, and ReportError and OSError
+    later.
     """
     check_file(output)
     scene = open_scene(target, settings)
     params = read(ViewParams, knobs.items())
     scene = in_turned_light(scene, params)
     view = view_of(scene, params, settings)
-    return grow_file(with_bounces(scene, bounces), view, output, Goal(**goal))
+    return grow_file(with_bounces(scene, bounces), view, output, ReferenceGoal(**goal))
 
 
 def check_file(output: Path) -> None:
@@ -411,7 +412,7 @@ def check_file(output: Path) -> None:
     check_folder(output)
 
 
-def grow_file(scene: Scene, view: View, output: Path, goal: Goal) -> dict[str, Any]:
+def grow_file(scene: Scene, view: View, output: Path, goal: ReferenceGoal) -> dict[str, Any]:
     """Continue the reference in ``output`` until its goal, with a bar; return its facts."""
 
     if output.exists():
@@ -437,7 +438,7 @@ def grow_file(scene: Scene, view: View, output: Path, goal: Goal) -> dict[str, A
     }
 
 
-def show_noise(bar: Any, found: Reference, goal: Goal) -> None:
+def show_noise(bar: Any, found: Reference, goal: ReferenceGoal) -> None:
     """Show on the bar the noise of a reference, and the expected number of paths."""
     foreseen = goal.foresee(found)
     if foreseen is None:
