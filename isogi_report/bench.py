@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from isogi_core.bake.bake_spec import BakeSpec, spec_name
+from isogi_core.bake.noise import Goal
 from isogi_core.bake.refine import refine
 from isogi_core.bake.texel_light import FIRST_LEVEL, Light, Part
 from isogi_core.cache.chunk_record import Chunks
@@ -27,7 +28,7 @@ from isogi_core.frame.projected_texels import find_distances
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import ViewTexels
-from isogi_core.model.scene_plan import Layer, ScenePlan, most_samples
+from isogi_core.model.scene_plan import Layer, ScenePlan
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
@@ -43,8 +44,8 @@ from isogi_core.reference import (
 )
 from isogi_report.metrics import Score, score
 
-UNREACHED_TARGET = 1e-9
-"""A target error that no texel reaches,
+UNREACHED_GOAL = Goal(1e-9)
+"""A goal whose error no texel reaches,
 so that all texels take as many samples as they are asked for.
 """
 
@@ -82,19 +83,19 @@ class Bake:
         self.light = dark(layers, len(texels))
         self.seconds = 0.0
 
-    def grow(self, until: int, target: float = UNREACHED_TARGET) -> None:
+    def grow(self, until: int, goal: Goal = UNREACHED_GOAL) -> None:
         """Bring all texels to ``until`` samples each, or to the samples
-        that suffice for a ``target`` error. Raises Cancelled.
+        that suffice for a ``goal``. Raises Cancelled.
         """
         # Compile the kernels on one texel before the time is taken; drop its light.
         first = self.texels[:1]
-        refine(dark(self.layers, len(first)), first, self.spec, FIRST_LEVEL, UNREACHED_TARGET)
+        refine(dark(self.layers, len(first)), first, self.spec, FIRST_LEVEL, UNREACHED_GOAL)
         begun = time.process_time()
 
         def piece(a: int, b: int) -> None:
             for spec, rows in self._specs(a, b):
                 light = self.light.rows(rows)
-                refine(light, self.texels[rows], spec, until, target)
+                refine(light, self.texels[rows], spec, until, goal)
                 self.light.put(rows, light)
 
         self.tiles.run(piece, len(self.texels), TEXELS_A_PIECE)
@@ -153,7 +154,7 @@ class ViewBake(Bake):
         if len(self.distant):
             projected = self._chunks(light, self.distant, own)
             caches.projected(self.shown.gbuffer.isovalue).pool.insert(projected, self.shown.chunks)
-        return self.renderer.render(self.view, UNREACHED_TARGET)
+        return self.renderer.render(self.view, Goal.checked(UNREACHED_GOAL.error))
 
     def show(self, light: Light, numbers: np.ndarray) -> None:
         """Put this ``light`` of the view's texels with the given ``numbers``
@@ -294,9 +295,9 @@ class Bench:
         """
         self.surface  # noqa: B018
         renderer = self.renderer(self.scene)
-        target = self.scene.target_error
+        goal = Goal(self.scene.target_error)
         bake = ViewBake(renderer, self.view)
-        bake.grow(most_samples(target), target)
+        bake.grow(goal.most_samples, goal)
         return bake
 
     @property

@@ -18,6 +18,7 @@ import numpy as np
 from tqdm import tqdm
 
 from isogi_core.bake.bake_spec import SPECS, spec_for
+from isogi_core.bake.noise import Goal
 from isogi_core.bake.refine import refine
 from isogi_core.bake.texel_light import Light
 from isogi_core.cache.scene_caches import Caches
@@ -34,12 +35,12 @@ from isogi_core.kernels.tracing.cast import cast_batch
 from isogi_core.kernels.tracing.intersect import UNKNOWN_SIDE
 from isogi_core.kernels.transport.integrator import bounce_rays
 from isogi_core.model.choices import VIEW_SHADINGS
-from isogi_core.model.scene_plan import MAX_SAMPLES, MIN_SAMPLES
+from isogi_core.model.scene_plan import MIN_SAMPLES
 from isogi_core.model.view import View, quaternion_from_angles
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index, PreparedScene
 from isogi_core.runs import Run, serially
-from isogi_report.bench import UNREACHED_TARGET
+from isogi_report.bench import UNREACHED_GOAL
 from isogi_server.parameters import FORMATS
 from isogi_server.pictures import encode
 from isogi_server.progress import open_scene
@@ -49,8 +50,8 @@ from isogi_worker.pool import MAX_TASK_TEXELS
 SPEED_CACHE_BYTES = 1 << 30
 """Bytes of light that a measured renderer may hold."""
 
-LOOSEST_TARGET = 1.0
-"""A target error that MIN_SAMPLES samples meet,
+LOOSEST_GOAL = Goal.checked(1.0)
+"""A goal that MIN_SAMPLES samples meet,
 so that frames of final light are measured, as most are.
 """
 
@@ -123,7 +124,7 @@ def bake_view(renderer: Renderer, view: View, until: int) -> Frame:
     """Bake in this process the light that ``view`` lacks,
     to ``until`` samples a texel, and render it.
     """
-    wanted = wanted_of(renderer.render(view, UNREACHED_TARGET, enough=MAX_SAMPLES))
+    wanted = wanted_of(renderer.render(view, UNREACHED_GOAL))
     bake_offsets(
         renderer,
         view.shading,
@@ -131,7 +132,7 @@ def bake_view(renderer: Renderer, view: View, until: int) -> Frame:
         until,
         tqdm(desc="baking", unit="chunk", total=len(wanted), leave=False),
     )
-    return renderer.render(view, UNREACHED_TARGET, enough=MAX_SAMPLES)
+    return renderer.render(view, UNREACHED_GOAL)
 
 
 def wanted_of(frame: Frame) -> Offsets:
@@ -180,7 +181,7 @@ def bake_chunks(renderer: Renderer, shading: str, wanted: Offsets, until: int) -
     # Bake the texels of all chunks in one call, as waves of paths are then full.
     light = Light.joined([chunk.light for chunk in chunks])
     texels = np.concatenate([lattice.positions(chunk.index, chunk.offsets) for chunk in chunks])
-    refine(light, texels, loader.chunk_store.spec, until, UNREACHED_TARGET)
+    refine(light, texels, loader.chunk_store.spec, until, UNREACHED_GOAL)
     # Write each chunk, and tell the loader that the store has newer light.
     bounds = np.cumsum([0, *(len(chunk.light) for chunk in chunks)]).tolist()
     for chunk, (a, b) in zip(chunks, pairwise(bounds), strict=True):
@@ -191,7 +192,7 @@ def bake_chunks(renderer: Renderer, shading: str, wanted: Offsets, until: int) -
 def bake_texels(prepared: PreparedScene, texels: np.ndarray, until: int) -> Light:
     """Return the light of ``texels`` (m, 3; z, y, x) after ``until`` samples each."""
     light = Light.dark(prepared.scene.plan, len(texels))
-    refine(light, texels, spec_for(prepared, "gi"), until, UNREACHED_TARGET)
+    refine(light, texels, spec_for(prepared, "gi"), until, UNREACHED_GOAL)
     return light
 
 
@@ -285,15 +286,15 @@ def medians(candidates: Mapping[str, Candidate], repeats: int) -> dict[str, floa
     }
 
 
-def new_camera(renderer: Renderer, view: View, target: float = LOOSEST_TARGET) -> Candidate:
+def new_camera(renderer: Renderer, view: View, goal: Goal = LOOSEST_GOAL) -> Candidate:
     """Return a candidate that renders ``view`` from a camera
-    that is new to the renderer, with light that is final at the ``target``.
+    that is new to the renderer, with light that is final by the ``goal``.
     """
 
     def render(_: int) -> float:
         """Forget what is kept of former views, and time the frame."""
         renderer.forget_views()
-        return seconds(lambda: renderer.render(view, target))
+        return seconds(lambda: renderer.render(view, goal))
 
     return render
 
@@ -308,8 +309,8 @@ def relight(renderer: Renderer, view: View) -> Candidate:
 
     def render(turn: int) -> float:
         """Render the view under another rotation first, and time the change."""
-        renderer.render(turned(view, turn - 0.5), LOOSEST_TARGET)
-        return seconds(lambda: renderer.render(turned(view, turn), LOOSEST_TARGET))
+        renderer.render(turned(view, turn - 0.5), LOOSEST_GOAL)
+        return seconds(lambda: renderer.render(turned(view, turn), LOOSEST_GOAL))
 
     return render
 

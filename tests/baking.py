@@ -2,8 +2,8 @@
 noise asks.
 """
 
+from isogi_core.bake.noise import Goal
 from isogi_core.frame.frame import Frame
-from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.model.view import View
 from isogi_server.render.engine import RenderEngine
 
@@ -15,8 +15,8 @@ def bake_each_texel(engine: RenderEngine, scene: str, view: View) -> Frame:
     """The frame of a view once each of its texels is good enough for any picture of the scene's
     target error.
     """
-    target = engine.planned(scene).target_error
-    while (frame := engine.survey(scene, view, target, enough=MAX_SAMPLES)).stages:
+    goal = Goal(engine.planned(scene).target_error)
+    while (frame := engine.survey(scene, view, goal)).stages:
         bake, stage = engine.lacking(scene, frame)
         engine.bake(bake, stage).wait(LONG)
     return frame

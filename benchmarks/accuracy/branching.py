@@ -22,7 +22,7 @@ from benchmarks.common.scenes import Subject, scene_of
 from benchmarks.common.suite import part
 from benchmarks.speed.paths import view_texels
 from isogi_core.bake.bake_spec import spec_for
-from isogi_core.bake.noise import relative_error
+from isogi_core.bake.noise import Goal, relative_error
 from isogi_core.bake.refine import refine
 from isogi_core.bake.texel_light import FIRST_LEVEL, Light, next_level
 from isogi_core.plan.assembly import load_scene
@@ -99,8 +99,9 @@ def curve_of(scene: Scene, branches: int, tasks: list[np.ndarray]) -> Curve:
     spec = spec_for(
         PreparedScene(replace(scene, plan=replace(scene.plan, branches=branches))), "gi"
     )
+    goal = Goal(scene.target_error)
     for texels in tasks:  # maps are made, and kernels loaded
-        refine(Light.dark(spec.plan, len(texels)), texels, spec, FIRST_LEVEL, scene.target_error)
+        refine(Light.dark(spec.plan, len(texels)), texels, spec, FIRST_LEVEL, goal)
     lights = [Light.dark(spec.plan, len(texels)) for texels in tasks]
     seconds = 0.0
     curve = Curve()
@@ -109,7 +110,7 @@ def curve_of(scene: Scene, branches: int, tasks: list[np.ndarray]) -> Curve:
         level = next_level(level)
         begun = time.process_time()
         for light, texels in zip(lights, tasks, strict=True):
-            refine(light, texels, spec, level, scene.target_error)
+            refine(light, texels, spec, level, goal)
         seconds += time.process_time() - begun
         errors = np.concatenate([relative_error(light, spec)[~light.void] for light in lights])
         curve.append((seconds, float(np.sqrt(np.mean(errors**2)))))

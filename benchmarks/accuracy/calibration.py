@@ -27,7 +27,7 @@ from benchmarks.accuracy.scenes import CALIBRATED, load_calibrated
 from benchmarks.common.measurement import Measurement, markdown
 from benchmarks.common.suite import part
 from isogi_core.bake.bake_spec import BakeSpec
-from isogi_core.bake.noise import finished
+from isogi_core.bake.noise import Goal, finished
 from isogi_core.bake.texel_light import FIRST_LEVEL, Light, next_level
 from isogi_core.frame.frame import Frame
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
@@ -137,11 +137,11 @@ def lights_of(rungs: Rungs, spec: BakeSpec, most: int) -> Iterator[tuple[str, Li
         if samples <= most:
             yield f"{samples} samples", rungs[samples]
     for target in TARGETS:
-        yield f"target {target:.0%}", adaptive(rungs, spec, target)
+        yield f"target {target:.0%}", adaptive(rungs, spec, Goal(target))
 
 
-def adaptive(rungs: Rungs, spec: BakeSpec, target: float) -> Light:
-    """The light as a bake to a ``target`` error leaves it: each texel on the first rung that is
+def adaptive(rungs: Rungs, spec: BakeSpec, goal: Goal) -> Light:
+    """The light as a bake to a ``goal`` leaves it: each texel on the first rung that is
     enough.
     """
     light = Light.dark(spec.plan, len(next(iter(rungs.values()))))
@@ -149,7 +149,7 @@ def adaptive(rungs: Rungs, spec: BakeSpec, target: float) -> Light:
     for rung in rungs.values():
         done = np.flatnonzero(waiting)
         light.put(done, rung.rows(done))
-        waiting &= ~finished(rung, spec, target)
+        waiting &= ~finished(rung, spec, goal)
     return light
 
 

@@ -25,6 +25,7 @@ from benchmarks.common.measurement import Measurement, markdown
 from benchmarks.common.scenes import LIGHTS, shared_data
 from benchmarks.common.suite import part
 from benchmarks.service.browser import CHROMIUM
+from isogi_core.bake.noise import Goal
 from isogi_core.files.scene_file import SceneSource
 from isogi_core.frame.edges import smooth_edges
 from isogi_core.frame.film import develop, ground_of
@@ -243,7 +244,7 @@ def measure(case: Case, lab: Lab, folder: Path, size: int) -> Found:
         return at_rest(bench, shown, view, exposure, sent)
     light, on = plain_light(bench.renderer, view, TARGET)
     if case.kind == "moving":
-        light = bench.renderer.render(view, TARGET).radiance
+        light = bench.renderer.render(view, Goal.checked(TARGET)).radiance
     drawn = shown.picture(view, exposure=exposure, **given)
     covers = drawn.covers.copy()
     covers.reshape(-1)[bench.renderer.gbuffer(view).faces.pixels] = 0.0
@@ -266,7 +267,9 @@ def at_rest(bench: Workbench, shown: CardScene, view: View, exposure: float, sen
 
     Pixels at edges are left out, which both smooth by samples at places of their own.
     """
-    frame = smooth_edges(bench.renderer.render(view, TARGET), bench.prepared, bench.renderer.tiles)
+    frame = smooth_edges(
+        bench.renderer.render(view, Goal.checked(TARGET)), bench.prepared, bench.renderer.tiles
+    )
     picture = shown.picture(view, rest=True, exposure=exposure, ground=ground_of("dark"))
     codes = shown.lab.floats(SHOW).reshape(view.height, view.width, 4)[::-1, :, :3]
     server = develop(frame, exposure, background="dark").astype(np.float64)

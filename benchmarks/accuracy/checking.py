@@ -20,6 +20,7 @@ from benchmarks.common.measurement import Measurement, markdown
 from benchmarks.common.scenes import SIX
 from benchmarks.common.suite import part
 from benchmarks.common.timing import Seconds
+from isogi_core.bake.noise import Goal
 from isogi_report.bench import Bench
 
 HEAD = (
@@ -59,19 +60,19 @@ def measure(bench: Bench) -> dict[str, float]:
     """The figures of a view that is baked, and checked to its end."""
     bench.planned.frame()
     renderer = bench.renderer(bench.scene)
-    target = bench.scene.target_error
-    renderer.render(bench.view, target)
+    goal = Goal.checked(bench.scene.target_error)
+    renderer.render(bench.view, goal)
     bytes_before = renderer.nbytes
     first = Seconds()
     every = Seconds()
     with first.counting():
-        more = renderer.refine(bench.view, target)
-    told = renderer.render(bench.view, target).total
+        more = renderer.refine(bench.view, goal)
+    told = renderer.render(bench.view, goal).total
     with every.counting():
-        while more and renderer.refine(bench.view, target):
+        while more and renderer.refine(bench.view, goal):
             pass
     every = every + first
-    last = renderer.render(bench.view, target)
+    last = renderer.render(bench.view, goal)
     bake = bench.planned.seconds
     return {
         "told at first": told.likely,

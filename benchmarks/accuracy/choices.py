@@ -20,7 +20,7 @@ from benchmarks.accuracy.benches import bench_of
 from benchmarks.common.measurement import Measurement
 from benchmarks.common.scenes import benchmark_scene
 from benchmarks.common.suite import part
-from isogi_core.model.scene_plan import most_samples
+from isogi_core.bake.noise import Goal
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from isogi_report.bench import Bench, ViewBake
@@ -98,7 +98,8 @@ def scored(name: str, bench: Bench, bake: ViewBake) -> Iterator[tuple[str, float
 def baked(bench: Bench, scene: Scene, view: View) -> ViewBake:
     """The light of a view of a scene, baked to the target error."""
     bake = ViewBake(bench.renderer(scene), view)
-    bake.grow(most_samples(scene.target_error), scene.target_error)
+    goal = Goal(scene.target_error)
+    bake.grow(goal.most_samples, goal)
     return bake
 
 

@@ -20,11 +20,12 @@ from benchmarks.accuracy.benches import bench_of
 from benchmarks.accuracy.totals import scenes
 from benchmarks.common.measurement import Measurement, markdown
 from benchmarks.common.suite import part
+from isogi_core.bake.noise import Goal
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.frame.demand import first_texels
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
-from isogi_report.bench import UNREACHED_TARGET, ViewBake
+from isogi_report.bench import UNREACHED_GOAL, ViewBake
 from isogi_report.metrics import Score, score
 
 LEVELS = (16, 64, 256)
@@ -91,7 +92,7 @@ def filtering(size: int, paths: int, seed: tuple[int, ...], only: tuple[str, ...
 
 def pictures_of(bake: ViewBake, filters: Renderer) -> tuple[Frame, Frame]:
     """The frame with each texel's light as it is, and that of a renderer that ``filters``."""
-    return bake.frame(), filters.render(bake.view, UNREACHED_TARGET)
+    return bake.frame(), filters.render(bake.view, Goal.checked(UNREACHED_GOAL.error))
 
 
 def quarter(bake: ViewBake, filters: Renderer) -> Frame:
@@ -99,7 +100,7 @@ def quarter(bake: ViewBake, filters: Renderer) -> Frame:
     first = first_texels(np.concatenate(bake.shown.offsets), bake.shown.lattice.bits)
     numbers = np.flatnonzero(first)
     bake.show(bake.light.rows(numbers), numbers)
-    return filters.render(bake.view, UNREACHED_TARGET)
+    return filters.render(bake.view, Goal.checked(UNREACHED_GOAL.error))
 
 
 def texts(picture: Frame, found: Score) -> tuple[str, str]:

@@ -22,6 +22,7 @@ from benchmarks.accuracy.totals import volumes
 from benchmarks.common.measurement import Measurement, markdown
 from benchmarks.common.scenes import CONSTANT
 from benchmarks.common.suite import part
+from isogi_core.bake.noise import Goal
 from isogi_core.frame.frame import Frame
 from isogi_report.bench import Bench
 
@@ -110,10 +111,10 @@ def measure(bench: Bench) -> Frame:
     """The frame of a view that is baked, and checked to its end."""
     bench.planned.frame()
     renderer = bench.renderer(bench.scene)
-    target = bench.scene.target_error
-    while renderer.refine(bench.view, target):
+    goal = Goal.checked(bench.scene.target_error)
+    while renderer.refine(bench.view, goal):
         pass
-    return renderer.render(bench.view, target)
+    return renderer.render(bench.view, goal)
 
 
 def row_of(name: str, pixels: Pixels, frame: Frame) -> tuple[str, ...]:

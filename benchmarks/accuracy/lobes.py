@@ -25,7 +25,7 @@ from isogi_core.model.view import View
 from isogi_core.plan.planner import plan_scene
 from isogi_core.plan.scene import Scene
 from isogi_report.speed import (
-    LOOSEST_TARGET,
+    LOOSEST_GOAL,
     Candidate,
     bake_view,
     make_renderer,
@@ -78,7 +78,7 @@ def processor(renderer: Renderer, view: View) -> Candidate:
 
     def render(turn: int) -> float:
         begun = time.process_time()
-        renderer.render(turned(view, turn + TURNS), LOOSEST_TARGET)
+        renderer.render(turned(view, turn + TURNS), LOOSEST_GOAL)
         return time.process_time() - begun
 
     return render
@@ -88,8 +88,8 @@ def at_rest(renderer: Renderer, view: View) -> Candidate:
     """A frame that is as the one before."""
 
     def render(turn: int) -> float:
-        renderer.render(turned(view, turn), LOOSEST_TARGET)
-        return seconds(lambda: renderer.render(turned(view, turn), LOOSEST_TARGET))
+        renderer.render(turned(view, turn), LOOSEST_GOAL)
+        return seconds(lambda: renderer.render(turned(view, turn), LOOSEST_GOAL))
 
     return render
 

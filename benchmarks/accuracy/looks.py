@@ -25,6 +25,7 @@ from benchmarks.accuracy.room import PATIENCE, edges
 from benchmarks.common.measurement import Measurement, markdown
 from benchmarks.common.scenes import LIGHTS, shared_data
 from benchmarks.common.suite import part
+from isogi_core.bake.noise import Goal
 from isogi_core.files.scene_file import SceneSource
 from isogi_core.frame.frame import Frame
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
@@ -75,7 +76,7 @@ def looks(size: int, paths: int, target_error: float, only: tuple[str, ...]) -> 
     figures = dict[str, float]()
     rows = list[tuple[str, ...]]()
     for name, scene in scenes(only):
-        frame, traced = pictures(scene, size, paths, target_error)
+        frame, traced = pictures(scene, size, paths, Goal.checked(target_error))
         found = measure(frame, traced, scene.default_exposure)
         figures |= {f"{name}: {key}": value for key, value in found.items()}
         rows.append((name, *(f"{value:.3g}" for value in found.values())))
@@ -94,7 +95,7 @@ def scenes(only: tuple[str, ...]) -> Iterator[tuple[str, Scene]]:
             yield name, load_scene(str(DOCS / f"{name}.toml"))
 
 
-def pictures(scene: Scene, size: int, paths: int, target: float) -> tuple[Frame, Frame | None]:
+def pictures(scene: Scene, size: int, paths: int, goal: Goal) -> tuple[Frame, Frame | None]:
     """The final picture, and the path-traced one if ``paths`` are asked for."""
     view = replace(view_of(scene, size), smooth=False)
     with (
@@ -102,11 +103,11 @@ def pictures(scene: Scene, size: int, paths: int, target: float) -> tuple[Frame,
         closing(RenderEngine([scene], store, workers=2)) as engine,
     ):
         engine.start()
-        frame = awaited(engine, scene.id, view, target, PATIENCE)
+        frame = awaited(engine, scene.id, view, goal, PATIENCE)
         if not paths:
             return frame, None
         traced = replace(view, shading="path_traced", samples=paths)
-        return frame, engine.survey(scene.id, traced, target)
+        return frame, engine.survey(scene.id, traced, goal)
 
 
 def measure(frame: Frame, traced: Frame | None, exposure: float) -> dict[str, float]:

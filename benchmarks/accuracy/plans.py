@@ -30,11 +30,12 @@ from benchmarks.accuracy.errors import relative_rmse
 from benchmarks.accuracy.scenes import PLANNED, load_planned
 from benchmarks.common.measurement import Measurement, markdown
 from benchmarks.common.suite import part
+from isogi_core.bake.noise import Goal
 from isogi_core.bake.refine import refine
 from isogi_core.cache.scene_caches import Loader
 from isogi_core.frame.demand import Demand
 from isogi_core.frame.frame import Frame
-from isogi_core.model.scene_plan import MAX_SAMPLES, Layer, most_samples
+from isogi_core.model.scene_plan import Layer
 from isogi_core.plan.left_out import S1_BYTES, lattice_bytes
 from isogi_core.plan.reachable_texels import TexelCount
 from isogi_core.plan.scene import Scene
@@ -163,24 +164,23 @@ def baked(scene: Scene, size: int, best: Frame) -> Bake:
     with tempfile.TemporaryDirectory() as store:
         renderer = make_renderer(scene, store)
         view = view_of(scene, size)
-        demands = renderer.render(view, enough=MAX_SAMPLES).demands
+        goal = Goal(scene.target_error)
+        demands = renderer.render(view, goal).demands
         loader = renderer.caches.of(view.shading)
         begun = time.process_time()
-        renderer.tiles.run(
-            lambda a, b: bake(loader, demands[a:b], scene.target_error), len(demands), 1
-        )
+        renderer.tiles.run(lambda a, b: bake(loader, demands[a:b], goal), len(demands), 1)
         taken = time.process_time() - begun
         written = sum(file.stat().st_size for file in Path(store).rglob("*") if file.is_file())
         return Bake(taken, written / 1e6, frame_error(renderer.render(view), best))
 
 
-def bake(loader: Loader, demands: Sequence[Demand], target: float) -> None:
-    """Bake what is demanded to the relative error ``target``, and keep it."""
+def bake(loader: Loader, demands: Sequence[Demand], goal: Goal) -> None:
+    """Bake what is demanded to a ``goal``, and keep it."""
     spec = loader.chunk_store.spec
     for demand in demands:
         chunk = loader.chunk_store.load(demand.index).with_texels(demand.offsets)
         texels = spec.prepared.lattice.positions(chunk.index, chunk.offsets)
-        refine(chunk.light, texels, spec, most_samples(target), target)
+        refine(chunk.light, texels, spec, goal.most_samples, goal)
         loader.chunk_store.save(chunk)
         loader.refresh(demand.index)
 

@@ -27,6 +27,7 @@ from benchmarks.common.measurement import Measurement, markdown
 from benchmarks.common.mitsuba import installed
 from benchmarks.common.scenes import LIGHTS, shared_data
 from benchmarks.common.suite import part
+from isogi_core.bake.noise import Goal
 from isogi_core.files.scene_file import SceneSource
 from isogi_core.frame.frame import Frame
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
@@ -179,9 +180,10 @@ def pictures(scene: Scene, view: View, paths: int) -> tuple[Frame, Frame]:
         closing(RenderEngine([scene], store, workers=2)) as engine,
     ):
         engine.start()
-        frame = awaited(engine, scene.id, view, scene.target_error, PATIENCE)
+        goal = Goal.checked(scene.target_error)
+        frame = awaited(engine, scene.id, view, goal, PATIENCE)
         traced = replace(view, shading="path_traced", samples=paths)
-        return frame, engine.survey(scene.id, traced, scene.target_error)
+        return frame, engine.survey(scene.id, traced, goal)
 
 
 def joined(picture: np.ndarray) -> np.ndarray:

@@ -22,8 +22,8 @@ import numpy as np
 from benchmarks.common.measurement import Measurement
 from benchmarks.common.scenes import benchmark_scene
 from benchmarks.common.suite import part
+from isogi_core.bake.noise import Goal
 from isogi_core.frame.rays.pixel_rays import variance_of_mean
-from isogi_core.model.scene_plan import most_samples
 from isogi_core.model.view import View, quaternion_from_angles
 from isogi_core.reference import Reference, trace_reference
 from isogi_report.bench import Bench, ViewBake
@@ -137,10 +137,10 @@ def shots(bench: Bench, views: Iterable[View], paths: int) -> Iterator[Shot]:
     Raises Cancelled.
     """
     renderer = bench.renderer(bench.scene)
-    target = bench.scene.target_error
+    goal = Goal(bench.scene.target_error)
     for view in views:
         bake = ViewBake(renderer, view)
-        bake.grow(most_samples(target), target)
+        bake.grow(goal.most_samples, goal)
         truth = trace_reference(bench.renderer(bench.whole), view, paths)
         yield Shot(luminance_of(bake.frame().radiance), truth)
 

@@ -34,6 +34,7 @@ from benchmarks.accuracy.room import PATIENCE, VIEWS
 from benchmarks.common.measurement import Measurement, markdown
 from benchmarks.common.scenes import VOLUMES, shared_data
 from benchmarks.common.suite import part
+from isogi_core.bake.noise import Goal
 from isogi_core.files.scene_file import SceneSource
 from isogi_core.frame.frame import Frame
 from isogi_core.model.view import View
@@ -192,15 +193,16 @@ def shoot(scene: Scene, views: Iterable[View], paths: int) -> Iterator[Shot]:
     from its pixels.
     """
     with opened(scene) as engine:
+        goal = Goal.checked(scene.target_error)
         for view in views:
             begun = time.monotonic()
-            frame = awaited(engine, scene.id, view, scene.target_error, PATIENCE)
+            frame = awaited(engine, scene.id, view, goal, PATIENCE)
             traced = [
                 replace(view, shading="path_traced", samples=count) for count in (paths, paths // 2)
             ]
-            truth, half = (engine.survey(scene.id, each, scene.target_error) for each in traced)
+            truth, half = (engine.survey(scene.id, each, goal) for each in traced)
             with opened(scene) as anew:
-                fresh = awaited(anew, scene.id, view, scene.target_error, PATIENCE)
+                fresh = awaited(anew, scene.id, view, goal, PATIENCE)
             click.echo(
                 f"{scene.name} at {view.isovalue:g}: {time.monotonic() - begun:.0f} s", err=True
             )

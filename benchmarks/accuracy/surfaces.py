@@ -28,6 +28,7 @@ from benchmarks.accuracy.kept import Kept
 from benchmarks.common.measurement import Measurement, markdown
 from benchmarks.common.scenes import LIGHTS, VOLUMES, shared_data
 from benchmarks.common.suite import part
+from isogi_core.bake.noise import Goal
 from isogi_core.cache.chunk_record import facts_in, record_fields
 from isogi_core.files.scene_file import SceneSource
 from isogi_core.frame.frame import Frame
@@ -204,11 +205,12 @@ def shown(engine: RenderEngine, scene: Scene, isovalue: int, size: int, paths: i
     before = samples_in(folder)
     full = stored(folder)
     taken = engine.baker.paths
-    frame = awaited(engine, scene.id, view, scene.target_error, PATIENCE)
+    goal = Goal.checked(scene.target_error)
+    frame = awaited(engine, scene.id, view, goal, PATIENCE)
     seconds = time.monotonic() - begun
     after = samples_in(folder)
     traced = replace(view, shading="path_traced", samples=paths)
-    rmse, p99 = beside(frame, engine.survey(scene.id, traced, scene.target_error))
+    rmse, p99 = beside(frame, engine.survey(scene.id, traced, goal))
     counts = baked({scene.layer_digest(layer) for layer in scene.plan.layers}, before, after)
     grown = stored(folder) - full
     return Found(

@@ -29,6 +29,7 @@ from benchmarks.accuracy.papers import PapersBake
 from benchmarks.common.measurement import Measurement, markdown
 from benchmarks.common.scenes import Subject, scene_of
 from benchmarks.common.suite import part
+from isogi_core.bake.noise import Goal
 from isogi_core.model.view import quaternion_from_angles
 from isogi_core.reference import Reference
 from isogi_core.storage.atomic_file import write_whole
@@ -185,7 +186,7 @@ def measure(case: Case, folder: Path, size: int, paths: int) -> None:
         )
         pictures = {
             "papers": papers.radiance(turned),
-            "isogi": renderer.render(turned, scene.target_error).radiance,
+            "isogi": renderer.render(turned, Goal.checked(scene.target_error)).radiance,
         }
         found.append([score(picture, best, 1.0) for picture in pictures.values()])
         if number == PICTURED:
@@ -235,7 +236,7 @@ def read(folder: Path) -> Measured:
     return Measured(**json.loads((folder / "measured.json").read_text("utf-8")))
 
 
-def goal(subject: Subject) -> float:
+def asked_rmse(subject: Subject) -> float:
     """The relative RMSE that is asked of a subject."""
     if subject.light == "noon_grass":
         return SUN
@@ -244,7 +245,7 @@ def goal(subject: Subject) -> float:
 
 def met(case: Case, found: Measured) -> bool:
     """Whether a view is within the goals at each turn."""
-    return max(found.rmse) <= goal(case.subject) and max(found.p99) <= P99
+    return max(found.rmse) <= asked_rmse(case.subject) and max(found.p99) <= P99
 
 
 def cells(case: Case, found: Measured) -> tuple[str, ...]:

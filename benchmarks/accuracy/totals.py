@@ -30,6 +30,7 @@ from benchmarks.accuracy.kept import Kept
 from benchmarks.common.measurement import Measurement, markdown
 from benchmarks.common.scenes import CONSTANT, LIGHTS, shared_data
 from benchmarks.common.suite import part
+from isogi_core.bake.noise import Goal
 from isogi_core.files.radiance import write_hdr
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.rays.control_pixels import TotalError
@@ -334,12 +335,12 @@ def measure_view(
     """Bring the picture of a ``turned`` view, whose texels a ``bake`` lights, to its target, and
     hold it against the ``best`` known.
     """
-    target = renderer.prepared.scene.target_error
+    goal = Goal.checked(renderer.prepared.scene.target_error)
     spent = [0.0]
     bake.show(dark(bake.layers, len(bake.texels)), np.arange(len(bake.shown.places)))
-    frames = [lit := lit_frame(bake, renderer, turned, target)]
-    while refined(renderer, turned, target, spent):
-        frames.append(lit_frame(bake, renderer, turned, target))
+    frames = [lit := lit_frame(bake, renderer, turned, goal)]
+    while refined(renderer, turned, goal, spent):
+        frames.append(lit_frame(bake, renderer, turned, goal))
     first = frames[min(1, len(frames) - 1)]
     last = frames[-1]
     before, after = (score(frame.radiance, best, 1.0) for frame in (lit, last))
@@ -361,19 +362,19 @@ def measure_view(
     )
 
 
-def lit_frame(bake: ViewBake, renderer: Renderer, view: View, target: float) -> Frame:
+def lit_frame(bake: ViewBake, renderer: Renderer, view: View, goal: Goal) -> Frame:
     """The frame of a view once its texels have as many samples as are enough for its check."""
-    while (frame := renderer.render(view, target)).provisional:
-        bake.grow(frame.quality.enough, target)
+    while (frame := renderer.render(view, goal)).provisional:
+        bake.grow(frame.quality.samples, Goal(goal.error))
         bake.frame()
     return frame
 
 
-def refined(renderer: Renderer, view: View, target: float, spent: list[float]) -> bool:
+def refined(renderer: Renderer, view: View, goal: Goal, spent: list[float]) -> bool:
     """Take a step of a view's check, whose processor seconds are noted; whether there was one."""
     begun = time.process_time()
     try:
-        return renderer.refine(view, target)
+        return renderer.refine(view, goal)
     finally:
         spent.append(time.process_time() - begun)
 

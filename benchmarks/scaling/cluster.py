@@ -29,6 +29,7 @@ from benchmarks.common.measurement import Measurement
 from benchmarks.common.suite import part
 from benchmarks.scaling.copies import LONG, Copies, Speed, processor_seconds
 from isogi_core.bake.bake_spec import spec_for
+from isogi_core.bake.noise import Goal
 from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene
@@ -70,13 +71,14 @@ def tasks_of(scene: Scene, size: int, most: int, store: str) -> list[BakeTask]:
         closing(EngineWithoutWorkers([scene], empty)) as engine,
     ):
         engine.start()
-        demands = engine.survey(scene.id, view_of(scene, size), scene.target_error).demands
+        goal = Goal.checked(scene.target_error)
+        demands = engine.survey(scene.id, view_of(scene, size), goal).demands
     some = sorted(
         demands[:: max(len(demands) // most, 1)][:most], key=lambda demand: -len(demand.offsets)
     )
     what = scene.source, spec.plan, spec.digest, StoreUrl(store)
     return [
-        BakeTask(*what, d.index, d.offsets, d.footprints, MAX_SAMPLES, scene.target_error)
+        BakeTask(*what, d.index, d.offsets, d.footprints, MAX_SAMPLES, Goal(goal.error))
         for d in some
     ]
 

@@ -18,6 +18,7 @@ import numpy as np
 from benchmarks.common.measurement import Measurement
 from benchmarks.common.scenes import benchmark_scene
 from benchmarks.common.suite import part
+from isogi_core.bake.noise import Goal
 from isogi_core.frame.frame import Frame
 from isogi_core.model.view import View
 from isogi_report.speed import view_of
@@ -100,9 +101,10 @@ def watch(
     """What was told of a view, and when, until it was final."""
     (scene,) = engine.scenes
     told = []
+    goal = Goal.checked(error)
     while True:
-        frame = engine.frame(scene, view, max_error=error)
-        told.append((pool.seconds, frame, engine.time_left(scene, frame, error)))
+        frame = engine.frame(scene, view, goal=goal)
+        told.append((pool.seconds, frame, engine.time_left(scene, frame, goal)))
         if not frame.provisional:
             return told
         pool.work(every)

@@ -23,6 +23,7 @@ import numpy as np
 
 from benchmarks.common.measurement import Measurement, markdown
 from benchmarks.common.suite import part
+from isogi_core.bake.noise import Goal
 from isogi_core.frame.frame import Frame
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
@@ -69,7 +70,7 @@ def time_left(targets: tuple[str, ...], size: int, target_error: float, most: fl
             click.echo(f"{target} is left out: its volume is not here.", err=True)
             continue
         name = Path(target).stem
-        seconds, estimates = watch(scene, size, target_error, most)
+        seconds, estimates = watch(scene, size, Goal.checked(target_error), most)
         shares = judged(seconds, estimates)
         figures |= {f"{name}: {key}": value for key, value in shares.items()}
         rows.append((name, *(f"{value:.2f}" for value in shares.values())))
@@ -95,7 +96,7 @@ def found(target: str) -> str:
     return str(copy)
 
 
-def watch(scene: Scene, size: int, target: float, most: float) -> tuple[float, list[Estimate]]:
+def watch(scene: Scene, size: int, goal: Goal, most: float) -> tuple[float, list[Estimate]]:
     """Draw a picture; return the seconds that it took, and all estimates on the way."""
     estimates = list[Estimate]()
     with (
@@ -106,10 +107,10 @@ def watch(scene: Scene, size: int, target: float, most: float) -> tuple[float, l
         begun = time.monotonic()
 
         def note(frame: Frame) -> None:
-            left = engine.time_left(scene.id, frame, target)
+            left = engine.time_left(scene.id, frame, goal)
             estimates.append(Estimate(time.monotonic() - begun, left))
 
-        awaited(engine, scene.id, view_of(scene, size), target, most, note)
+        awaited(engine, scene.id, view_of(scene, size), goal, most, note)
         return time.monotonic() - begun, estimates
 
 

@@ -21,6 +21,7 @@ from benchmarks.accuracy.benches import report_view
 from benchmarks.common.measurement import Measurement, markdown
 from benchmarks.common.scenes import benchmark_scene
 from benchmarks.common.suite import part
+from isogi_core.bake.noise import Goal
 from isogi_core.kernels.shading.framebuffer import PROVISIONAL
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
@@ -59,6 +60,7 @@ def cutting(size: int, workers: int) -> Measurement:
     """
     scene = benchmark_scene(None)
     view = report_view(scene, size)
+    goal = Goal.checked(scene.target_error)
     with (
         tempfile.TemporaryDirectory() as folder,
         closing(RenderEngine([scene], folder, workers=workers)) as engine,
@@ -67,12 +69,12 @@ def cutting(size: int, workers: int) -> Measurement:
         while engine.workers.preparing or not engine.baker.tally().workers:
             time.sleep(STEP)
         variants = Variants(engine, str)
-        first = baked(engine, scene.id, view, scene.target_error, time.monotonic())
+        first = baked(engine, scene.id, view, goal, time.monotonic())
         found = {"none": first}
         for cut in cuts_of(scene):
             begun = time.monotonic()
             opened = asyncio.run(variants.of(scene, Change(cut=cut)))
-            found[cut] = baked(engine, opened.id, view, scene.target_error, begun)
+            found[cut] = baked(engine, opened.id, view, goal, begun)
             click.echo(f"{cut}: {found[cut]}", err=True)
     cuts = [each for name, each in found.items() if name != "none"]
     figures = {
@@ -104,12 +106,12 @@ def cuts_of(scene: Scene) -> Iterator[str]:
         yield f"{axis}<{low + away:g}"
 
 
-def baked(engine: RenderEngine, scene: str, view: View, target: float, begun: float) -> Bake:
+def baked(engine: RenderEngine, scene: str, view: View, goal: Goal, begun: float) -> Bake:
     """Watch the picture of a view from when it was ``begun`` until it is final."""
     before = engine.baker.tally()
     shown = None
     while True:
-        frame = engine.frame(scene, view, max_error=target, wait=STEP)
+        frame = engine.frame(scene, view, goal=goal, wait=STEP)
         passed = time.monotonic() - begun
         if shown is None and not (frame.state == PROVISIONAL).any():
             shown = passed

@@ -27,7 +27,7 @@ from isogi_core.kernels.shading.edges import find_contrasts
 from isogi_core.model.scene_plan import MIN_SAMPLES
 from isogi_core.model.view import View
 from isogi_report.speed import (
-    LOOSEST_TARGET,
+    LOOSEST_GOAL,
     Candidate,
     bake_view,
     make_renderer,
@@ -57,8 +57,8 @@ def edges(target: str | None, size: int, repeats: int) -> Measurement:
             {"plain": pictured(renderer, plain), "smooth": pictured(renderer, smooth)}, repeats
         )
         errors = errors_of(
-            renderer.render(plain, LOOSEST_TARGET),
-            renderer.render(smooth, LOOSEST_TARGET),
+            renderer.render(plain, LOOSEST_GOAL),
+            renderer.render(smooth, LOOSEST_GOAL),
             renderer,
         )
     figures = {**milliseconds(took), "smooth / plain": took["smooth"] / took["plain"], **errors}
@@ -72,7 +72,7 @@ def pictured(renderer: Renderer, view: View) -> Candidate:
         renderer.forget_views()
         return seconds(
             lambda: develop(
-                renderer.render(view, LOOSEST_TARGET), renderer.prepared.scene.default_exposure
+                renderer.render(view, LOOSEST_GOAL), renderer.prepared.scene.default_exposure
             )
         )
 

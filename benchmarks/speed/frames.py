@@ -21,14 +21,15 @@ from benchmarks.common.measurement import Figures, Measurement
 from benchmarks.common.scenes import benchmark_scene, shared_data
 from benchmarks.common.suite import part
 from benchmarks.common.timing import milliseconds
+from isogi_core.bake.noise import Goal
 from isogi_core.frame.film import develop
 from isogi_core.frame.renderer import Renderer
-from isogi_core.model.scene_plan import MAX_SAMPLES, MIN_SAMPLES
+from isogi_core.model.scene_plan import MIN_SAMPLES
 from isogi_core.model.view import View, Window
 from isogi_core.plan.scene import Scene
-from isogi_report.bench import UNREACHED_TARGET
+from isogi_report.bench import UNREACHED_GOAL
 from isogi_report.speed import (
-    LOOSEST_TARGET,
+    LOOSEST_GOAL,
     Candidate,
     bake_view,
     make_renderer,
@@ -61,8 +62,7 @@ def frames(target: str | None, size: int, repeats: int) -> Measurement:
     scene = benchmark_scene(target)
     with lit(scene, size) as (renderer, view):
         texels = sum(
-            len(demand.offsets)
-            for demand in renderer.render(view, UNREACHED_TARGET, enough=MAX_SAMPLES).demands
+            len(demand.offsets) for demand in renderer.render(view, UNREACHED_GOAL).demands
         )
         figures = summarise(medians(candidates(renderer, view), repeats))
         figures["lattice / texels of this view"] = math.prod(renderer.prepared.shape) / texels
@@ -117,12 +117,12 @@ def candidates(renderer: Renderer, view: View) -> dict[str, Candidate]:
     exposure = renderer.prepared.scene.default_exposure
 
     def tone(turn: int) -> float:
-        lit = renderer.render(turned(view, turn), LOOSEST_TARGET)
+        lit = renderer.render(turned(view, turn), LOOSEST_GOAL)
         return seconds(lambda: develop(lit, exposure))
 
     frames = {shading: new_camera(renderer, replace(view, shading=shading)) for shading in SHADINGS}
     frames["gi"] = next_camera(renderer, view)
-    frames["gi, converging"] = new_camera(renderer, view, UNREACHED_TARGET)
+    frames["gi, converging"] = new_camera(renderer, view, Goal.checked(UNREACHED_GOAL.error))
     frames["window"] = new_plane(renderer, view)
     return {**frames, "relight": relight(renderer, view), "develop": tone}
 
@@ -141,8 +141,8 @@ def next_camera(renderer: Renderer, view: View) -> Candidate:
         renderer.forget_views()
         before = turned(view, turn + 0.3)
         for _ in range(2):
-            renderer.render(before, LOOSEST_TARGET)
-        return seconds(lambda: renderer.render(on_from(renderer, before), LOOSEST_TARGET))
+            renderer.render(before, LOOSEST_GOAL)
+        return seconds(lambda: renderer.render(on_from(renderer, before), LOOSEST_GOAL))
 
     return render
 
@@ -157,7 +157,7 @@ def new_plane(renderer: Renderer, view: View) -> Candidate:
         renderer.forget_views()
         place = volume.centre[2] + volume.spacing[2] * (turn % 16 - 8)
         window = Window(((0.0, 0.0, -1.0, place),))
-        return seconds(lambda: renderer.render(replace(view, window=window), LOOSEST_TARGET))
+        return seconds(lambda: renderer.render(replace(view, window=window), LOOSEST_GOAL))
 
     return render
 

@@ -34,7 +34,7 @@ from isogi_core.model.scene_plan import MIN_SAMPLES
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_report.speed import (
-    LOOSEST_TARGET,
+    LOOSEST_GOAL,
     Candidate,
     bake_view,
     isovalues_near,
@@ -70,7 +70,7 @@ def own(renderer: Renderer, size: int, shading: str) -> Painter:
 
     def paint(isovalue: float) -> np.ndarray:
         frame = renderer.render(
-            view_of(scene, size, isovalue=isovalue, shading=shading), LOOSEST_TARGET
+            view_of(scene, size, isovalue=isovalue, shading=shading), LOOSEST_GOAL
         )
         return develop(frame, scene.default_exposure)
 

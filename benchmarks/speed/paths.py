@@ -31,11 +31,11 @@ from benchmarks.common.suite import part
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.tracing.intersect import OUTSIDE_SIGN
 from isogi_core.kernels.transport.integrator import bounce_rays
-from isogi_core.model.scene_plan import MAX_SAMPLES, Layer
+from isogi_core.model.scene_plan import Layer
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
-from isogi_report.bench import UNREACHED_TARGET
+from isogi_report.bench import UNREACHED_GOAL
 from isogi_report.speed import (
     Candidate,
     Rays,
@@ -77,9 +77,7 @@ def view_texels(scene: Scene, size: int) -> list[np.ndarray]:
     """
     with tempfile.TemporaryDirectory() as store:
         renderer = make_renderer(scene, store)
-        wanted = wanted_of(
-            renderer.render(view_of(scene, size), UNREACHED_TARGET, enough=MAX_SAMPLES)
-        )
+        wanted = wanted_of(renderer.render(view_of(scene, size), UNREACHED_GOAL))
         place = renderer.prepared.lattice.positions
     tasks = list(together(wanted))
     some = tasks[:: max(sum(map(len, wanted.values())) // TEXELS, 1)]

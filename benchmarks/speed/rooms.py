@@ -36,7 +36,7 @@ from isogi_core.model.view import View
 from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import Scene
 from isogi_report.speed import (
-    LOOSEST_TARGET,
+    LOOSEST_GOAL,
     Candidate,
     bake_view,
     make_renderer,
@@ -118,11 +118,11 @@ def lit(scene: Scene, store: str, size: int) -> Renderer:
     renderer = make_renderer(scene, store)
     view = camera_of(scene, size)
     bake_view(renderer, view, MIN_SAMPLES)
-    frame = renderer.render(view, LOOSEST_TARGET)
+    frame = renderer.render(view, LOOSEST_GOAL)
     while frame.quality.waiting and renderer.refine_frame(
-        frame, Goal(LOOSEST_TARGET), renderer.tiles, PRESENT
+        frame, Goal(LOOSEST_GOAL.error), renderer.tiles, PRESENT
     ):
-        frame = renderer.render(view, LOOSEST_TARGET)
+        frame = renderer.render(view, LOOSEST_GOAL)
     return renderer
 
 
@@ -136,9 +136,7 @@ def camera_of(scene: Scene, size: int, turn: int = 0) -> View:
 
 def moved(renderer: Renderer, scene: Scene, size: int) -> Candidate:
     """A frame from another camera in each round."""
-    return lambda turn: seconds(
-        lambda: renderer.render(camera_of(scene, size, turn), LOOSEST_TARGET)
-    )
+    return lambda turn: seconds(lambda: renderer.render(camera_of(scene, size, turn), LOOSEST_GOAL))
 
 
 def baked(name: str, data: Path, levels: int) -> dict[float, float]:
@@ -166,7 +164,7 @@ def baked(name: str, data: Path, levels: int) -> dict[float, float]:
                     if frame.total.likely <= error:
                         reached.setdefault(error, processor_seconds() - before)
 
-            awaited(engine, scene.id, shown, scene.target_error, PATIENCE, note)
+            awaited(engine, scene.id, shown, Goal.checked(scene.target_error), PATIENCE, note)
             for error, seconds_of in reached.items():
                 spent.setdefault(error, []).append(seconds_of)
     return {error: float(np.mean(each)) for error, each in spent.items() if len(each) == levels}

@@ -3,14 +3,14 @@ number of samples that this takes.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from itertools import product
 from typing import NamedTuple, Self
 
 import numpy as np
 
 from isogi_core.bake.bake_spec import BakeSpec, band_of
-from isogi_core.bake.texel_light import Light, Part
+from isogi_core.bake.texel_light import FIRST_LEVEL, Light, Part
 from isogi_core.kernels.shading.lattice import LEAST_SPREAD
 from isogi_core.model.scene_plan import (
     MAX_SAMPLES,
@@ -54,6 +54,51 @@ the same paths, and is scaled to band 0 by ``evenness``.
 
 MIN_LUMINANCE = 1e-30
 """Luminance, in the unit of a bake spec, that stands for zero in a divisor."""
+
+
+class Goal(NamedTuple):
+    """The goal of a picture: the relative ``error`` that it is to reach, and the ``samples`` after
+    which its texels need no more, even if they have a larger error each.
+
+    ``Goal(error)`` is for pictures without a check: their texels reach the error by themselves, or
+    take as many samples as any may. ``Goal.checked(error)`` is for all others. ``goal_of`` of
+    ``isogi_server/views.py`` makes it from the HTTP parameter ``max_error`` or the option
+    ``--target-error``; all stages down to a ``BakeTask`` take it as ``goal``.
+    """
+
+    error: float
+    samples: int = MAX_SAMPLES
+
+    @classmethod
+    def checked(cls, error: float) -> Self:
+        """Return the goal of a picture that control pixels check: its texels begin with the first
+        level of samples, and take more when the check asks for them.
+        """
+        return cls(error, FIRST_LEVEL)
+
+    @classmethod
+    def strictest(cls, goals: Iterable["Goal"]) -> Self:
+        """Return the goal that covers all ``goals``: the least error and the most samples of any.
+        There must be one.
+        """
+        errors, samples = zip(*goals, strict=True)
+        return cls(min(errors), max(samples))
+
+    @property
+    def texel_error(self) -> float:
+        """The relative error at which texels are good enough by themselves."""
+        return texel_target(self.error)
+
+    @property
+    def most_samples(self) -> int:
+        """The samples after which texels need no more."""
+        return min(most_samples(self.error), self.samples)
+
+    def covers(self, other: "Goal") -> bool:
+        """Return True if light that reaches this goal also reaches the ``other`` one: the error is
+        as strict or stricter, and the samples are as many or more.
+        """
+        return self.error <= other.error and self.samples >= other.samples
 
 
 def deviations(light: Light, spec: BakeSpec) -> np.ndarray:
@@ -130,33 +175,18 @@ def relative_error(light: Light, spec: BakeSpec) -> np.ndarray:
     return np.asarray(standard_error(light, spec) / level(light, spec))
 
 
-def finished(light: Light, spec: BakeSpec, target: float, enough: int = MAX_SAMPLES) -> np.ndarray:
-    """Return which texels are good enough for pictures of a ``target`` error, or void;
-    (texels,) bool.
+def finished(light: Light, spec: BakeSpec, goal: Goal) -> np.ndarray:
+    """Return which texels are good enough for pictures with a ``goal``, or void; (texels,) bool."""
+    return light.void | good_enough(relative_error(light, spec), light.samples, goal)
+
+
+def good_enough(error: np.ndarray, samples: np.ndarray, goal: Goal) -> np.ndarray:
+    """Return which texels of this relative ``error`` need no more samples for a ``goal``; bool.
+
+    Either their error is small enough, or they have the most ``samples`` that the goal asks for.
     """
-    return light.void | good_enough(relative_error(light, spec), light.samples, target, enough)
-
-
-class Goal(NamedTuple):
-    """The relative ``error`` that a picture is to reach, and the ``samples`` after which its texels
-    need no more, even if they have a larger error each.
-    """
-
-    error: float
-    samples: int = MAX_SAMPLES
-
-
-def good_enough(
-    error: np.ndarray, samples: np.ndarray, target: float, enough: int = MAX_SAMPLES
-) -> np.ndarray:
-    """Return which texels of this relative ``error`` need no more samples for a ``target`` error;
-    bool.
-
-    Their error is within ``texel_target``, or their ``samples`` have reached the limit of the
-    target, or ``enough`` for the picture that reads them.
-    """
-    spent = samples >= min(most_samples(target), enough)
-    return (error <= texel_target(target)) & (samples >= MIN_SAMPLES) | spent
+    small = (error <= goal.texel_error) & (samples >= MIN_SAMPLES)
+    return small | (samples >= goal.most_samples)
 
 
 def noise_of_halves(
@@ -291,40 +321,31 @@ class Effort(NamedTuple):
     lit: float = 0.0
 
     @classmethod
-    def of(
-        cls, error: np.ndarray, samples: np.ndarray, target: float, enough: int = MAX_SAMPLES
-    ) -> Self:
-        """Return the effort of texels by their relative ``error`` and their ``samples``; void
-        texels do not count.
+    def of(cls, error: np.ndarray, samples: np.ndarray, goal: Goal) -> Self:
+        """Return the effort of texels for a ``goal``, by their relative ``error`` and their
+        ``samples``; void texels do not count.
         """
-        unlit, *rest = efforts(np.zeros(len(error), np.intp), 1, error, samples, target, enough)[
-            0
-        ].tolist()
+        one_chunk = np.zeros(len(error), np.intp)
+        unlit, *rest = efforts(one_chunk, 1, error, samples, goal)[0].tolist()
         return cls(int(unlit), *rest)
 
 
-def samples_left(
-    error: np.ndarray, samples: np.ndarray, target: float, enough: int = MAX_SAMPLES
-) -> np.ndarray:
-    """Return the samples that texels of this relative ``error`` still take to a ``target``;
+def samples_left(error: np.ndarray, samples: np.ndarray, goal: Goal) -> np.ndarray:
+    """Return the samples that texels of this relative ``error`` still take to a ``goal``;
     (texels,) float64.
 
     They are lit and not final, so that each climbs at least one level.
     """
-    return np.asarray(
-        np.maximum(samples_needed(error, samples, target, enough), 2.0 * samples) - samples
-    )
+    return np.asarray(np.maximum(samples_needed(error, samples, goal), 2.0 * samples) - samples)
 
 
-def samples_needed(
-    error: np.ndarray, samples: np.ndarray, target: float, enough: int = MAX_SAMPLES
-) -> np.ndarray:
-    """Return the sample level at which lit texels of this relative ``error`` are good enough;
-    (texels,) float64.
+def samples_needed(error: np.ndarray, samples: np.ndarray, goal: Goal) -> np.ndarray:
+    """Return the sample level at which lit texels of this relative ``error`` are good enough for a
+    ``goal``; (texels,) float64.
     """
-    most = min(most_samples(target), enough)
+    most = goal.most_samples
     # Predict by the rate of stratified points, and round up to a level.
-    needed = np.clip(samples * (error / texel_target(target)) ** RATE, min(MIN_SAMPLES, most), most)
+    needed = np.clip(samples * (error / goal.texel_error) ** RATE, min(MIN_SAMPLES, most), most)
     return np.asarray(2.0 ** np.ceil(np.log2(needed)))
 
 
@@ -333,16 +354,15 @@ def efforts(
     count: int,
     error: np.ndarray,
     samples: np.ndarray,
-    target: float,
-    enough: int = MAX_SAMPLES,
+    goal: Goal,
 ) -> np.ndarray:
-    """Return ``Effort.of`` the texels of each of ``count`` chunks, (count, 5) float64;
-    ``chunks`` holds each texel's chunk.
+    """Return ``Effort.of`` the texels of each of ``count`` chunks for a ``goal``, (count, 5)
+    float64; ``chunks`` holds each texel's chunk.
     """
     # Sum the columns of Effort over each chunk; samples expected of unlit texels are not known.
     unlit = samples == 0
-    waiting = (samples > 0) & ~good_enough(error, samples, target, enough)
-    left = samples_left(error[waiting], samples[waiting], target, enough)
+    waiting = (samples > 0) & ~good_enough(error, samples, goal)
+    left = samples_left(error[waiting], samples[waiting], goal)
     columns = ((unlit, None), (waiting, samples[waiting]), (waiting, left), (waiting, None))
     *sums, lit = (
         np.bincount(chunks[rows], weights=weights, minlength=count) for rows, weights in columns
@@ -355,16 +375,16 @@ def expected_samples(
     count: int,
     error: np.ndarray,
     samples: np.ndarray,
-    target: float,
-    enough: int = MAX_SAMPLES,
+    goal: Goal,
 ) -> np.ndarray:
-    """Return the samples that texels of each of ``count`` chunks will take, (count,) float64.
+    """Return the samples that texels of each of ``count`` chunks will take to a ``goal``, (count,)
+    float64.
 
     Lit texels have this ``error`` after ``samples``. Unlit ones are expected to take as many as the
     others of their chunk; 0 if all are unlit.
     """
     lit = samples > 0
-    needed = samples_needed(error[lit], samples[lit], target, enough)
+    needed = samples_needed(error[lit], samples[lit], goal)
     sums = np.bincount(chunks[lit], weights=needed, minlength=count)
     known, every = (np.bincount(some, minlength=count) for some in (chunks[lit], chunks))
     return np.asarray(sums * every / np.maximum(known, 1))

@@ -15,7 +15,7 @@ from typing import Self
 import numpy as np
 
 from isogi_core.bake.bake_spec import BakeSpec
-from isogi_core.bake.noise import DECAYS, blend_noise, evenness, finished, noise_of_halves
+from isogi_core.bake.noise import DECAYS, Goal, blend_noise, evenness, finished, noise_of_halves
 from isogi_core.bake.texel_light import (
     VOID,
     Light,
@@ -42,7 +42,7 @@ from isogi_core.kernels.transport.transfer import (
     project_texels,
 )
 from isogi_core.model.lights import Colour
-from isogi_core.model.scene_plan import GLOW_KIND, MAX_SAMPLES, Layer, most_samples
+from isogi_core.model.scene_plan import GLOW_KIND, Layer, most_samples
 from isogi_core.model.volume import CUT_AWAY_VALUE, Isovalue, Volume
 from isogi_core.plan.volumes.masks import Ranges, box_left, is_within, values_beyond
 from isogi_core.prepared.prepared_scene import Met, PreparedScene
@@ -150,19 +150,19 @@ def refine(
     texels: np.ndarray,
     spec: BakeSpec,
     until: int,
-    target: float,
+    goal: Goal,
     located: Located | None = None,
 ) -> None:
     """Bring ``light`` of the ``texels`` (m, 3; z, y, x) up to ``until`` samples each, in place.
 
-    A texel that is final for pictures of the relative error ``target`` keeps its light, unless one
-    of its parts lags behind the others. Of the other texels the parts with the fewest samples
-    climb, all parts at one level together, as the same paths serve them. Texels are ``located``
-    here unless that is given.
+    A texel that is final for pictures with this ``goal`` keeps its light, unless one of its parts
+    lags behind the others. Of the other texels the parts with the fewest samples climb, all parts
+    at one level together, as the same paths serve them. Texels are ``located`` here unless that is
+    given.
     """
     while True:
         # Find the texels that still climb; stop if there are none.
-        waiting = next_samples(light, spec, target)
+        waiting = next_samples(light, spec, goal)
         climbing = (waiting >= 0) & (waiting < until)
         if not climbing.any():
             return
@@ -176,19 +176,17 @@ def refine(
             climb(parts, rows[(level == pattern[:, None]).all(axis=0)], located, spec)
 
 
-def next_samples(
-    light: Light, spec: BakeSpec, target: float, enough: int = MAX_SAMPLES
-) -> np.ndarray:
-    """Return the samples of the parts that climb next, (texels,) int; -1 if a texel is final and no
-    part lags.
+def next_samples(light: Light, spec: BakeSpec, goal: Goal) -> np.ndarray:
+    """Return the samples of the parts that climb next to a ``goal``, (texels,) int; -1 if a texel
+    is final and no part lags.
 
     A part lags if it was lost, or not written before a kill: it takes its samples once more, which
     the other parts do not need.
     """
     # A part lags if it has fewer samples than another one of its texel, below the limit.
     most = np.max([part.samples for part in light.parts], axis=0)
-    lags = ~light.void & (light.samples < np.minimum(most, most_samples(target)))
-    return np.where(finished(light, spec, target, enough) & ~lags, -1, light.samples)
+    lags = ~light.void & (light.samples < np.minimum(most, most_samples(goal.error)))
+    return np.where(finished(light, spec, goal) & ~lags, -1, light.samples)
 
 
 def climb(parts: Sequence[Part], rows: np.ndarray, located: Located, spec: BakeSpec) -> None:

@@ -119,9 +119,9 @@ class Quality:
     finer: "Frame | None" = None
 
     @property
-    def enough(self) -> int:
+    def samples(self) -> int:
         """The samples that texels are to have; 0 if control pixels do not check the frame."""
-        return self.known.enough if self.known else 0
+        return self.known.goal.samples if self.known else 0
 
     @property
     def dark(self) -> frozenset[Index]:
@@ -167,7 +167,7 @@ class Frame:
         """The total error that control pixels must show before the frame is final; None if they
         do not check it.
         """
-        return self.quality.known.target if self.quality.known else None
+        return self.quality.known.goal.error if self.quality.known else None
 
     @property
     def given_up(self) -> bool:

@@ -10,6 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
+from isogi_core.bake.noise import Goal
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache.page_pool import Held, PagePool
 from isogi_core.cache.scene_caches import Loader
@@ -143,7 +144,7 @@ class ProjectedReading(Reading):
         base = self.base
         # Where light has only begun, all texels get their first samples; those to be projected get
         # no more.
-        first = self.goal._replace(samples=FIRST_LEVEL)
+        first = Goal.checked(self.goal.error)
         unlit = (base.grade < FINAL) & (base.samples < FIRST_LEVEL)
         rest = lacking.of(base, (base.grade < FINAL) & ~self.wanted, ~self.wanted)
         return (

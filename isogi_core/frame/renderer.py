@@ -9,7 +9,7 @@ next frames. Its keys name the step and the surface that a view shows, by isoval
 |---|---|
 | ``GBuffer``, ``ViewTexels``, ``Distances`` | a surface |
 | ``TexelNormals``, ``ShadowStarts``, ``EyeGlow`` | a surface |
-| ``Reading`` | a surface, a bake spec, a target error, and the age of the page pool |
+| ``Reading`` | a surface, a bake spec, a goal, and the age of the page pool |
 | ``FilteredLight`` | the texels and the reading of a view; rotation of the light, albedo, glow |
 | ``LobeLight`` | a surface, the rotation of the light, and whether it moves |
 | ``PictureCheck`` | a surface, the light's rotation, albedo, shine, glow and a target error |
@@ -31,7 +31,6 @@ import numpy as np
 
 from isogi_core.bake.bake_spec import SPECS
 from isogi_core.bake.noise import Goal
-from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.frame.edges import smooth_edges
 from isogi_core.frame.eye_glow import with_glow
@@ -92,25 +91,23 @@ class Renderer(SurfaceRenderer):
     def render(
         self,
         view: View,
-        target: float | None = None,
+        goal: Goal | None = None,
         cancelled: threading.Event | None = None,
         watch: Stopwatch | None = None,
-        enough: int = FIRST_LEVEL,
     ) -> Frame:
         """Render ``view`` with the light that is there now.
 
-        ``target`` is the relative error that the picture is to reach, by default the scene's.
-        Texels count as final once each reaches that error alone, or once they have the samples that
-        the picture's check found to be enough, or ``enough`` of them; with MAX_SAMPLES there is no
-        check. ``watch`` goes on with the stages of this frame. Raises Cancelled once ``cancelled``
-        is set, and ViewError if the view asks for an albedo that the scene's light is not made for,
-        or if the camera is inside a wall.
+        By default the ``goal`` of the picture is the scene's error, to be checked. Texels count as
+        final once each reaches the goal alone, or once they have the samples that the picture's
+        check asks for; a goal of MAX_SAMPLES asks for no check. ``watch`` goes on with the stages
+        of this frame. Raises Cancelled once ``cancelled`` is set, and ViewError if the view asks
+        for an albedo that the scene's light is not made for, or if the camera is inside a wall.
         """
         if cancelled:
             tiles = self.tiles.cancelled_by(cancelled)
         else:
             tiles = self.tiles
-        goal = Goal(target or self.prepared.scene.target_error, enough)
+        goal = goal or Goal.checked(self.prepared.scene.target_error)
         watch = watch or Stopwatch()
         frame = self._draw(view, goal, tiles, watch)
         if view.moving or not view.smooth:
@@ -142,17 +139,17 @@ class Renderer(SurfaceRenderer):
     def refine(
         self,
         view: View,
-        target: float | None = None,
+        goal: Goal | None = None,
         tiles: Tiles | None = None,
         prices: Prices = PRESENT,
     ) -> bool:
         """Take one step that brings the total error of a view, whose light is final, nearer to the
-        ``target``; return False if there is no step to take.
+        ``goal``, by default the scene's error; return False if there is no step to take.
 
         By the ``prices`` of texels a step may be to ask for finer ones: see ``ViewChecks``. Raises
         Cancelled once ``tiles`` are cancelled, and the errors of ``render``.
         """
-        goal = Goal(target or self.prepared.scene.target_error, FIRST_LEVEL)
+        goal = goal or Goal.checked(self.prepared.scene.target_error)
         tiles = tiles or self.tiles
         if self._composer is not None:
             return self._composer.refine(view, goal, tiles, prices)
@@ -218,7 +215,7 @@ class Renderer(SurfaceRenderer):
 
 
 def unlit_frame(
-    renderer: Renderer, view: View, target: float, cancelled: threading.Event
+    renderer: Renderer, view: View, goal: Goal, cancelled: threading.Event
 ) -> Frame | None:
     """Render a view at rest that is new and whose chunks hold no light yet: a white frame that is
     provisional everywhere, and lists the light that it lacks.
@@ -244,7 +241,7 @@ def unlit_frame(
     with loader.pool.hold(texels.chunks) as held:
         if not len(held.slots) or (held.slots >= 0).any():
             return None
-        reading = read_texels(texels, held.slots, loader.pool, Goal(target, FIRST_LEVEL), tiles)
+        reading = read_texels(texels, held.slots, loader.pool, goal, tiles)
     return undrawn_frame(renderer, view, texels, reading)
 
 

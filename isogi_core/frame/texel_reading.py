@@ -87,11 +87,13 @@ class Reading:
 
     @property
     def noisy(self) -> np.ndarray:
-        """Mark lit texels with more noise than the target allows each of them alone; (texels,)
+        """Mark lit texels with more noise than the goal allows each of them alone; (texels,)
         bool.
         """
         return np.asarray(
-            self.lit & (self.samples > 0) & ~good_enough(self.error, self.samples, self.goal.error)
+            self.lit
+            & (self.samples > 0)
+            & ~good_enough(self.error, self.samples, Goal(self.goal.error))
         )
 
     @property
@@ -279,15 +281,13 @@ class Lacking:
         chunks = np.searchsorted(reading.bounds, rows, side="right") - 1
         touched = np.unique(chunks)
         # Add up the samples that texels of each chunk have taken and will take.
-        sums = efforts(
-            chunks, len(texels.chunks), reading.error[rows], reading.samples[rows], *goal
-        )
+        sums = efforts(chunks, len(texels.chunks), reading.error[rows], reading.samples[rows], goal)
         # Projected texels without light are expected to need as many samples as the same texels on
         # their own isosurfaces.
         if like is not None:
             rows, chunks = (each[reading.samples[rows] == 0] for each in (rows, chunks))
             known = like.error[rows], like.samples[rows]
-            sums[:, 3] = expected_samples(chunks, len(texels.chunks), *known, *goal)
+            sums[:, 3] = expected_samples(chunks, len(texels.chunks), *known, goal)
 
         def _demand(i: int) -> Demand:
             some: slice | np.ndarray = slice(None)
@@ -317,7 +317,7 @@ def grade_rows(
     """
     # A boolean is 0 or 1, so adding CONVERGING makes FINAL of good light. The samples are those of
     # the layer that has the fewest: with none, some layers are not baked yet.
-    grade = good_enough(error, samples, *goal).view(np.uint8)
+    grade = good_enough(error, samples, goal).view(np.uint8)
     grade += CONVERGING
     grade[samples == 0] = PARTIAL_GRADE
     if (rows < 0).any():

@@ -70,10 +70,9 @@ class ViewChecks(Refinement[PictureCheck]):
 
     def of(self, shot: Shot) -> PictureCheck:
         """Return the check of the picture of a ``shot``, kept or begun now: see ``Refinement``."""
-        target = shot.goal.error
-        return self._kept.get(
-            check_key(shot.view, target), lambda: PictureCheck(shot.light, PictureState(target))
-        )
+        error = shot.goal.error
+        begun = PictureState(Goal.checked(error))
+        return self._kept.get(check_key(shot.view, error), lambda: PictureCheck(shot.light, begun))
 
     def advance(self, found: PictureCheck, frame: Frame, shot: Shot, prices: Prices) -> bool:
         """Take one step of the check ``found``: see ``Refinement``."""
@@ -123,10 +122,12 @@ class ViewChecks(Refinement[PictureCheck]):
         self._kept.drop(key)
         self._kept.get(key, lambda: former.joined(newest))
 
-    def held(self, view: View, target: float) -> PictureCheck | None:
-        """Return the check of a view's picture; None if there is none."""
+    def held(self, view: View, goal: Goal) -> PictureCheck | None:
+        """Return the check that brings a view's picture to the error of a ``goal``; None if there
+        is none.
+        """
         if is_checked(view):
-            return self._kept.held(check_key(view, target))
+            return self._kept.held(check_key(view, goal.error))
         return None
 
     def _uncertainty(self, frame: Frame, check: PictureCheck, shot: Shot) -> np.ndarray:
@@ -136,9 +137,8 @@ class ViewChecks(Refinement[PictureCheck]):
         light = shot.light
         known = check.known
         # Read the texels that the picture shows, with the samples that its check asks for.
-        goal = Goal(known.target, known.enough)
         texels = self._texels.under(shot.view, shot.gbuffer, shot.tiles)
-        found = self._texels.lit(texels, replace(shot, goal=goal))
+        found = self._texels.lit(texels, replace(shot, goal=known.goal))
         # Where texels around a point differ, light between them is uncertain. Light that was traced
         # for a pixel itself is not.
         between = light.spec.unit * texel_disagreement(texels, *found)
@@ -147,33 +147,33 @@ class ViewChecks(Refinement[PictureCheck]):
         between[known.own.places] = 0.0
         # Light that was carried over is of a point nearby, and may change on the way.
         carried = frame.luminance(shot.gbuffer.pixels[known.carried])
-        between[known.carried] = MOST_CHANGE * known.target * carried
+        between[known.carried] = MOST_CHANGE * known.goal.error * carried
         return np.asarray(np.hypot(between, frame.pixel_noise))
 
-    def asks_finer(self, view: View, target: float) -> bool:
+    def asks_finer(self, view: View, goal: Goal) -> bool:
         """Return True if the check of a view's picture asks for finer texels in its place."""
-        check = self.held(view, target)
+        check = self.held(view, goal)
         return check is not None and check.coarse
 
-    def decline_finer(self, view: View, target: float) -> None:
+    def decline_finer(self, view: View, goal: Goal) -> None:
         """Tell the check of a view's picture to go on without finer texels: memory has no room
         for them.
         """
-        if (check := self.held(view, target)) is not None:
+        if (check := self.held(view, goal)) is not None:
             check.decline()
 
-    def left(self, frame: Frame, target: float) -> PathsLeft:
-        """Return the paths that a ``frame`` still has to take for its ``target``: as its check
+    def left(self, frame: Frame, goal: Goal) -> PathsLeft:
+        """Return the paths that a ``frame`` still has to take for its ``goal``: as its check
         expects, or, before it was measured, as foreseen from the plan's error and from the
         noise of its texels.
         """
-        return self.known_left(frame.view, target) or self.foreseen(frame, target)
+        return self.known_left(frame.view, goal) or self.foreseen(frame, goal)
 
-    def known_left(self, view: View, target: float) -> PathsLeft | None:
+    def known_left(self, view: View, goal: Goal) -> PathsLeft | None:
         """Return the paths that the picture of a ``view`` still has to take, as its check expects;
         None before it was measured.
         """
-        check = self.held(view, target)
+        check = self.held(view, goal)
         if check and check.ahead is not None:
             # Another thread may end the growth meanwhile: read it once.
             growth = check.growing
@@ -183,11 +183,11 @@ class ViewChecks(Refinement[PictureCheck]):
         return None
 
     @staticmethod
-    def foreseen(frame: Frame, target: float) -> PathsLeft:
+    def foreseen(frame: Frame, goal: Goal) -> PathsLeft:
         """Return the paths that a ``frame`` is foreseen to take, before it was measured."""
         if frame.target is None or frame.quality.lacking is None:
             return PathsLeft()
-        return foreseen_work(frame, frame.quality.lacking.reading, target)
+        return foreseen_work(frame, frame.quality.lacking.reading, goal.error)
 
 
 def goal_of_texels(goal: Goal, view: View, known: PictureState | None) -> Goal:
@@ -200,7 +200,7 @@ def goal_of_texels(goal: Goal, view: View, known: PictureState | None) -> Goal:
     """
     if view.shading != "gi":
         return Goal(goal.error)
-    return Goal(goal.error, max(goal.samples, known.enough if known else 0))
+    return Goal(goal.error, max(goal.samples, known.goal.samples if known else 0))
 
 
 def foreseen_work(frame: Frame, reading: Reading, target: float) -> PathsLeft:

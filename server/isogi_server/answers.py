@@ -9,6 +9,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from isogi_core.bake.noise import Goal
 from isogi_core.files.scene_file import write_material_text
 from isogi_core.files.vector import Vector, triple
 from isogi_core.frame.card.blocks import CHUNKS, raw_scale
@@ -656,6 +657,5 @@ def chunks_in(renderer: Renderer, frame: Frame) -> list[CardChunk]:
     """
     if frame.quality.lacking is None or frame.view.shading != "gi":
         return []
-    return chunk_list(
-        seen_chunks(renderer, frame.view, frame.quality.lacking.reading.goal.error, renderer.tiles)
-    )
+    goal = Goal.checked(frame.quality.lacking.reading.goal.error)
+    return chunk_list(seen_chunks(renderer, frame.view, goal, renderer.tiles))

@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import TypeVar
 
+from isogi_core.bake.noise import Goal
 from isogi_core.errors import ViewError
 from isogi_core.files.vector import Vector
 from isogi_core.model.material import SHINE_KNOBS, Shine
@@ -29,6 +30,13 @@ from isogi_server.settings import Settings
 from isogi_server.values import Span
 
 Params = TypeVar("Params", bound=ViewParams)
+
+
+def goal_of(scene: Scene, max_error: float | None) -> Goal:
+    """Return the goal of a picture that is to reach the error ``max_error``, by default the
+    ``scene``'s target error, and that control pixels check.
+    """
+    return Goal.checked(max_error or scene.target_error)
 
 
 def view_of(scene: Scene, params: ViewParams, settings: Settings) -> View:

@@ -14,6 +14,7 @@ from isogi_core.bake.noise import (
     DECAYS,
     FLOOR,
     Effort,
+    Goal,
     blend_noise,
     deviation,
     deviations,
@@ -31,7 +32,7 @@ from isogi_core.bake.noise import (
 )
 from isogi_core.bake.texel_light import VOID, Light, Part
 from isogi_core.kernels.shading.lattice import LEAST_SPREAD, LIGHT_NUMBERS, light_texels
-from isogi_core.model.scene_plan import MIN_SAMPLES, Layer, most_samples, texel_target
+from isogi_core.model.scene_plan import MIN_SAMPLES, Layer, most_samples
 from isogi_core.prepared.prepared_scene import PreparedScene
 from tests.bake.texels import (
     baked,
@@ -106,17 +107,25 @@ def test_no_light_has_no_error() -> None:
 # -------------------------------------------------------------------------
 
 
+def test_the_strictest_goal_covers_all_and_none_covers_it() -> None:
+    goals = [Goal(0.1, 16), Goal(0.02, 64), Goal(0.05)]
+    strictest = Goal.strictest(goals)
+    assert strictest == Goal(0.02)
+    assert all(strictest.covers(each) and each.covers(each) for each in goals)
+    assert not any(each.covers(strictest) for each in goals)
+
+
 def test_a_texel_is_done_when_good_enough_spent_or_void() -> None:
     spec = orbital(sky=False)
     light = light_of(spec, [[MIN_SAMPLES, MIN_SAMPLES, most_samples(0.01), VOID, 0]], noise=1.0)
     light.parts[0].noise[1] = 0.0
-    assert finished(light, spec, 0.01).tolist() == [False, True, True, True, False]
+    assert finished(light, spec, Goal(0.01)).tolist() == [False, True, True, True, False]
     light.parts[0].noise[:] = 0.0
-    assert finished(light, spec, 0.01).tolist() == [True, True, True, True, False], (
+    assert finished(light, spec, Goal(0.01)).tolist() == [True, True, True, True, False], (
         "unlit is never done"
     )
     light.parts[0].samples[0] = MIN_SAMPLES // 2
-    assert not finished(light, spec, 0.01)[0], "few paths that all died say nothing"
+    assert not finished(light, spec, Goal(0.01))[0], "few paths that all died say nothing"
 
 
 def test_all_parts_must_have_the_fewest_samples() -> None:
@@ -126,17 +135,17 @@ def test_all_parts_must_have_the_fewest_samples() -> None:
         [[MIN_SAMPLES, MIN_SAMPLES, MIN_SAMPLES // 2, most], [0, MIN_SAMPLES, MIN_SAMPLES, most]],
         noise=0.0,
     )
-    assert finished(light, orbital(), 0.5).tolist() == [False, True, False, True]
+    assert finished(light, orbital(), Goal(0.5)).tolist() == [False, True, False, True]
 
 
 def test_the_frame_and_the_bake_agree_on_final_light() -> None:
     """The frame judges errors that were rounded to single floats."""
-    target = 0.02
-    errors = texel_target(target) * (1.0 + np.linspace(-1e-8, 1e-8, 201))
+    goal = Goal(0.02)
+    errors = goal.texel_error * (1.0 + np.linspace(-1e-8, 1e-8, 201))
     samples = np.full(201, MIN_SAMPLES)
-    final = good_enough(errors, samples, target)
+    final = good_enough(errors, samples, goal)
     assert 0 < final.sum() < 201
-    assert good_enough(errors.astype(np.float32), samples, target)[final].all()
+    assert good_enough(errors.astype(np.float32), samples, goal)[final].all()
 
 
 # --- noise estimated from halves
@@ -274,7 +283,7 @@ def test_final_texels_are_within_their_error(name: str) -> None:
     level = np.maximum(mean_luminance(reference, spec), FLOOR * spec.unoccluded)
     seen = np.sqrt(((wrong / level[:, None]) ** 2).mean())
     estimated = np.sqrt((relative_error(light, spec) ** 2).mean())
-    assert finished(light, spec, target).all()
+    assert finished(light, spec, Goal(target)).all()
     assert 0.75 < seen / estimated < 1.33, seen / estimated
 
 
@@ -390,23 +399,23 @@ def test_band_0_varies_less_where_paths_bring_equal_light(
 # --------------------------------------------------------------------------------------------------
 
 
-TARGET = 0.05
-ERRORS = texel_target(TARGET)
+GOAL = Goal(0.05)
+ERRORS = GOAL.texel_error
 
 
 def test_samples_follow_the_rate_of_errors_up_to_a_level() -> None:
     error = ERRORS * np.array([4.0, 2.0, 1.02, 60.0, 0.2])
     samples = np.array([64, 64, 64, 64, 16])
-    goals = [512, 256, 128, most_samples(TARGET), MIN_SAMPLES]  # 64 · 4^1.5 = 512, 64 · 2^1.5 = 181
-    assert (samples + samples_left(error, samples, TARGET)).tolist() == goals
+    goals = [512, 256, 128, GOAL.most_samples, MIN_SAMPLES]  # 64 · 4^1.5 = 512, 64 · 2^1.5 = 181
+    assert (samples + samples_left(error, samples, GOAL)).tolist() == goals
 
 
 def test_texels_at_the_rate_take_the_predicted_samples() -> None:
     rng = np.random.default_rng(5)
     scale = rng.uniform(0.5, 5.0, 1000)
     samples = np.full(1000, 64)
-    predicted = samples + samples_left(scale * samples ** (-2 / 3), samples, TARGET)
-    while not (done := good_enough(scale * samples ** (-2 / 3), samples, TARGET)).all():
+    predicted = samples + samples_left(scale * samples ** (-2 / 3), samples, GOAL)
+    while not (done := good_enough(scale * samples ** (-2 / 3), samples, GOAL)).all():
         samples = np.where(done, samples, 2 * samples)
     np.testing.assert_array_equal(samples[predicted > 128], predicted[predicted > 128])
 
@@ -416,17 +425,15 @@ def test_efforts_are_summed_chunk_by_chunk() -> None:
     samples = rng.choice([VOID, 0, 16, 64, 256, 2048], 400)
     error = rng.uniform(0.0, 0.3, 400)
     chunks = rng.integers(0, 5, 400)
-    found = efforts(chunks, 6, error, samples, TARGET)
+    found = efforts(chunks, 6, error, samples, GOAL)
     for chunk in range(6):
         own = [(e, n) for e, n, at in zip(error, samples, chunks, strict=True) if at == chunk]
-        lit = [
-            (e, n) for e, n in own if n > 0 and not good_enough(np.array(e), np.array(n), TARGET)
-        ]
-        left = sum(float(samples_left(np.array([e]), np.array([n]), TARGET)[0]) for e, n in lit)
+        lit = [(e, n) for e, n in own if n > 0 and not good_enough(np.array(e), np.array(n), GOAL)]
+        left = sum(float(samples_left(np.array([e]), np.array([n]), GOAL)[0]) for e, n in lit)
         expected = sum(n == 0 for _, n in own), sum(n for _, n in lit), left, 0.0, len(lit)
         assert found[chunk].tolist() == pytest.approx(expected)
         mine = chunks == chunk
-        assert Effort.of(error[mine], samples[mine], TARGET) == pytest.approx(expected)
+        assert Effort.of(error[mine], samples[mine], GOAL) == pytest.approx(expected)
 
 
 def test_unlit_texels_are_expected_to_need_what_others_do() -> None:
@@ -434,9 +441,9 @@ def test_unlit_texels_are_expected_to_need_what_others_do() -> None:
     samples = np.array([64, 64, 0, 0, 16])
     chunks = np.array([0, 0, 0, 1, 3])
     error = ERRORS * np.array([4.0, 2.0, 180.0, 180.0, 0.2])
-    first, second, last = samples_needed(error[[0, 1, 4]], samples[[0, 1, 4]], TARGET)
+    first, second, last = samples_needed(error[[0, 1, 4]], samples[[0, 1, 4]], GOAL)
     assert (first, second, last) == (512, 256, MIN_SAMPLES)
-    assert expected_samples(chunks, 4, error, samples, TARGET).tolist() == [
+    assert expected_samples(chunks, 4, error, samples, GOAL).tolist() == [
         1.5 * (512 + 256),
         0.0,
         0.0,

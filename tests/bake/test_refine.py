@@ -8,6 +8,7 @@ import pytest
 from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.bake.noise import (
     DECAYS,
+    Goal,
     blend_noise,
     finished,
     most_samples,
@@ -44,7 +45,7 @@ def test_one_bake_and_many_small_ones_are_the_same(settings: dict[str, object]) 
     texels = surface_texels(spec, 60)
     target = 0.02
     once = baked(spec, texels, most_samples(target), target=target)
-    assert finished(once, spec, target).all() and len(set(once.samples.tolist())) > 1
+    assert finished(once, spec, Goal(target)).all() and len(set(once.samples.tolist())) > 1
     levels = [16 << step for step in range(12)]
     assert same(baked(spec, texels, *levels, target=target), once)
     assert same(baked(spec, texels, 32, 32, 1024, 16, most_samples(target), target=target), once)
@@ -58,7 +59,7 @@ def test_the_bits_of_a_part_depend_on_its_samples_alone() -> None:
     light = Light.dark(spec.plan, 60)
     light.put(np.arange(30), climbed(spec, texels[:30], 128))
     climb(light.parts[:1], np.arange(30), locate(texels, spec.prepared, spec.shown), spec)
-    refine(light, texels, spec, 128, 0.001)
+    refine(light, texels, spec, 128, Goal(0.001))
     assert {*zip(*(part.samples.tolist() for part in light.parts), strict=True)} == {
         (256, 128),
         (128, 128),
@@ -102,10 +103,10 @@ def test_texels_at_the_target_are_left_alone() -> None:
     spec = orbital()
     texels = surface_texels(spec, 60)
     start = climbed(spec, texels, MIN_SAMPLES)
-    target = float(np.median(relative_error(start, spec))) / texel_target(1.0)
-    done = finished(start, spec, target)
+    goal = Goal(float(np.median(relative_error(start, spec))) / texel_target(1.0))
+    done = finished(start, spec, goal)
     light = start.rows(np.arange(60))
-    refine(light, texels, spec, 8 * MIN_SAMPLES, target)
+    refine(light, texels, spec, 8 * MIN_SAMPLES, goal)
     assert 0 < done.sum() < 60
     assert same(light.rows(np.flatnonzero(done)), start.rows(np.flatnonzero(done)))
     climbing = sum(part.samples for part in light.parts) > 2 * MIN_SAMPLES
@@ -115,39 +116,39 @@ def test_texels_at_the_target_are_left_alone() -> None:
 @COMPILED
 def test_parts_catch_up_and_then_climb_together() -> None:
     spec = orbital()
-    target = 0.001
+    goal = Goal(0.001)
     texels = surface_texels(spec, 60)
     far, near = climbed(spec, texels, 128), climbed(spec, texels, 16)
     light = Light((far.parts[0].rows(np.arange(60)), near.parts[1]))
-    assert (next_samples(light, spec, target) == 16).all()
-    refine(light, texels, spec, 64, target)
+    assert (next_samples(light, spec, goal) == 16).all()
+    refine(light, texels, spec, 64, goal)
     assert (
         same(Light(light.parts[:1]), Light(far.parts[:1])) and (light.parts[1].samples == 64).all()
     )
-    refine(light, texels, spec, 512, target)
+    refine(light, texels, spec, 512, goal)
     assert (light.parts[0].samples == 512).all() and same(light, climbed(spec, texels, 512))
 
 
 @COMPILED
 def test_texels_with_enough_samples_wait() -> None:
     spec = orbital()
-    target = 0.005
+    goal = Goal(0.005)
     until = 128
-    light = baked(spec, surface_texels(spec, 60), until, target=target)
-    waiting = next_samples(light, spec, target)
-    done = finished(light, spec, target)
+    light = baked(spec, surface_texels(spec, 60), until, target=goal.error)
+    waiting = next_samples(light, spec, goal)
+    done = finished(light, spec, goal)
     assert (waiting[done] == -1).all() and (waiting[~done] == until).all() and not done.all()
 
 
 @COMPILED
 def test_a_layer_far_ahead_is_followed_up_to_the_target() -> None:
     spec = orbital()
-    loose = 0.2
+    loose = Goal(0.2)
     texels = surface_texels(spec, 30)
     light = Light((climbed(spec, texels, 1024).parts[0], Light.dark(spec.plan, 30).parts[1]))
     refine(light, texels, spec, 1024, loose)
     assert (light.parts[0].samples == 1024).all() and (
-        light.parts[1].samples == most_samples(loose)
+        light.parts[1].samples == loose.most_samples
     ).all()
 
 

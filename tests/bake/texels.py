@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from isogi_core.bake.bake_spec import BakeSpec, spec_for
+from isogi_core.bake.noise import Goal
 from isogi_core.bake.refine import climb, locate, refine
 from isogi_core.bake.texel_light import Light
 from isogi_core.kernels.transport.harmonics import rotate
@@ -85,7 +86,7 @@ def baked(spec: BakeSpec, texels: np.ndarray, *levels: int, target: float = NEVE
     """Light of the texels after one call of `refine` for each of the `levels`."""
     light = Light.dark(spec.plan, len(texels))
     for until in levels:
-        refine(light, texels, spec, until, target)
+        refine(light, texels, spec, until, Goal(target))
     return light
 
 

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from isogi_core.bake.bake_spec import BakeSpec, spec_for
+from isogi_core.bake.noise import Goal
 from isogi_core.bake.refine import refine
 from isogi_core.cache.chunk_record import Chunk, Chunks
 from isogi_core.cache.chunk_store import ChunkStore
@@ -63,7 +64,7 @@ def baked(
     offsets = np.flatnonzero((inside < lattice.shape).all(axis=1))
     chosen = np.sort(np.random.default_rng(seed).choice(offsets, texels, replace=False))
     chunk = Chunk.empty(index, spec.plan).with_texels(chosen)
-    refine(chunk.light, inside[chosen], spec, samples, 1e-3)
+    refine(chunk.light, inside[chosen], spec, samples, Goal(1e-3))
     return chunk
 
 

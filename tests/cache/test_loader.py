@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 from isogi_core.bake.bake_spec import SPECS, BakeSpec
+from isogi_core.bake.noise import Goal
 from isogi_core.bake.refine import refine
 from isogi_core.cache import scene_caches as loading
 from isogi_core.cache.chunk_store import ChunkStore
@@ -59,7 +60,13 @@ def bake(loader: Loader, index: Index, texels: int = 20, samples: int = 16) -> s
     """Do as a worker does; the mark of what is stored."""
     chunk = loader.chunk_store.load(index).with_texels(np.arange(texels, dtype=np.int32))
     spec = loader.chunk_store.spec
-    refine(chunk.light, spec.prepared.lattice.positions(index, chunk.offsets), spec, samples, 1e-4)
+    refine(
+        chunk.light,
+        spec.prepared.lattice.positions(index, chunk.offsets),
+        spec,
+        samples,
+        Goal(1e-4),
+    )
     loader.chunk_store.save(chunk)
     return mark(stored(loader, index))
 

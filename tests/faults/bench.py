@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from isogi_core.bake.noise import Goal
 from isogi_core.frame.demand import Demand
 from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.model.view import View
@@ -38,9 +39,7 @@ class Bench:
 
     def demands(self, view: View) -> tuple[Demand, ...]:
         """The light that a view lacks."""
-        return self.engine.survey(
-            self.scene.id, view, self.scene.target_error, enough=MAX_SAMPLES
-        ).demands
+        return self.engine.survey(self.scene.id, view, Goal(self.scene.target_error)).demands
 
     def arm(self, point: str, fault: str, more: str = "once") -> Path:
         """Have a fault at a point."""
@@ -55,11 +54,8 @@ def bake_here(bench: Bench, demands: tuple[Demand, ...], store: Path) -> None:
     Store(store).open()
     for demand in demands:
         what = (bench.scene.source, spec.plan, spec.digest, StoreUrl(str(store)), demand.index)
-        bake(
-            BakeTask(
-                *what, demand.offsets, demand.footprints, MAX_SAMPLES, bench.scene.target_error
-            )
-        )
+        goal = Goal(bench.scene.target_error)
+        bake(BakeTask(*what, demand.offsets, demand.footprints, MAX_SAMPLES, goal))
 
 
 def objects_in(store: Path) -> dict[str, bytes]:

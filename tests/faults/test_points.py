@@ -6,6 +6,7 @@ from pathlib import Path
 import httpx
 import pytest
 
+from isogi_core.bake.noise import Goal
 from isogi_worker.bake_requests import MOST_FAILURES
 from tests.baking import bake_each_texel
 from tests.faults.bench import LONG, Bench, bake_here, objects_in
@@ -74,7 +75,9 @@ def test_a_chunk_that_kills_its_workers_fails_alone(bench: Bench) -> None:
     coverage = httpx.get(f"{place}/coverage", params=knobs).json()
     frame = httpx.get(f"{place}/frame", params=knobs)
     assert frame.status_code == 200 and frame.headers["isogi-provisional"] == "?1"
-    lacking = bench.engine.survey(bench.scene.id, view, bench.scene.target_error).demands
+    lacking = bench.engine.survey(
+        bench.scene.id, view, Goal.checked(bench.scene.target_error)
+    ).demands
     assert [demand.index for demand in lacking] == [poison], coverage
     assert {key.split("/c/")[1] for key in set(objects_in(bench.store)) - kept}.isdisjoint(
         {"/".join(map(str, poison))}

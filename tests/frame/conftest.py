@@ -24,7 +24,6 @@ from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.texel_reading import Reading, read_texels
 from isogi_core.frame.tiles import Tiles
 from isogi_core.model.environment import LUMINANCE_WEIGHTS, pixel_directions
-from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.model.view import View
 from isogi_core.model.volume import Volume, make_volume
 from isogi_core.plan.scene import Scene
@@ -82,37 +81,35 @@ class Workbench:
     def bake(self, view: View, target: float | None = None) -> Frame:
         """Bake rung by rung all that `view` demands, and render its final frame."""
         rung = FIRST_LEVEL
-        frame = self.renderer.render(view, target, enough=MAX_SAMPLES)
+        goal = Goal(target or self.scene.target_error)
+        frame = self.renderer.render(view, goal)
         with ThreadPoolExecutor(os.cpu_count()) as threads:
             while frame.demands:
                 loader = self.caches.of(view.shading)
-                list(
-                    threads.map(
-                        partial(refine_chunk, loader, rung, target or self.scene.target_error),
-                        frame.demands,
-                    )
-                )
+                list(threads.map(partial(refine_chunk, loader, rung, goal.error), frame.demands))
                 rung = 2 * rung
-                frame = self.renderer.render(view, target, enough=MAX_SAMPLES)
-        return self.renderer.render(view, target)
+                frame = self.renderer.render(view, goal)
+        return self.renderer.render(view, Goal.checked(goal.error))
 
     def project(self, view: View, target: float | None = None) -> Frame:
         """Bake rung by rung all projected texels that a baked view demands, and render it."""
         rung = FIRST_LEVEL
-        frame = self.renderer.render(view, target, enough=MAX_SAMPLES)
+        goal = Goal(target or self.scene.target_error)
+        frame = self.renderer.render(view, goal)
         while frame.quality.projection and frame.quality.projection.demands:
             loader = self.caches.projected(frame.gbuffer.isovalue)
-            given = partial(refine_chunk, loader, rung, target or self.scene.target_error)
+            given = partial(refine_chunk, loader, rung, goal.error)
             list(map(given, frame.quality.projection.demands))
             rung = 2 * rung
-            frame = self.renderer.render(view, target, enough=MAX_SAMPLES)
-        return self.renderer.render(view, target)
+            frame = self.renderer.render(view, goal)
+        return self.renderer.render(view, Goal.checked(goal.error))
 
     def settled(self, view: View, target: float | None = None) -> Frame:
         """The frame of a view once nothing of its picture can be refined any more."""
-        while self.renderer.refine(view, target):
+        goal = Goal.checked(target or self.scene.target_error)
+        while self.renderer.refine(view, goal):
             pass
-        return self.renderer.render(view, target)
+        return self.renderer.render(view, goal)
 
     @property
     def layers(self) -> set[str]:
@@ -127,7 +124,7 @@ def refine_chunk(loader: Loader, rung: int, target: float, demand: Demand) -> No
     rows = chunk.rows_of(demand.offsets)
     light = chunk.light.rows(rows)
     texels = store.spec.prepared.lattice.positions(demand.index, demand.offsets)
-    refine(light, texels, store.spec, rung, target)
+    refine(light, texels, store.spec, rung, Goal(target))
     chunk.light.put(rows, light)
     store.save(chunk)
     loader.refresh(demand.index)

@@ -30,7 +30,6 @@ from isogi_core.kernels.shading.lattice import (
     VOID_GRADE,
     VOID_ROW,
 )
-from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.model.view import View
 from tests.frame.conftest import CONSTANT, LOOSE, Workbench, relative_rmse
 from tests.loaded import load_scene
@@ -89,7 +88,7 @@ def view_of(bench: Workbench, **settings: Any) -> View:
 
 def test_a_scene_may_forbid_projected_texels(bench: Workbench) -> None:
     plain = Workbench(bench.scene.with_settings(projected=False), bench.folder)
-    frame = plain.renderer.render(view_of(plain), enough=MAX_SAMPLES)
+    frame = plain.renderer.render(view_of(plain), Goal(plain.scene.target_error))
     assert frame.quality.projection is None and not frame.provisional
     assert frame.reported_state is frame.state
     assert plain.scene.bake_digest == bench.scene.bake_digest, (
@@ -177,7 +176,7 @@ def test_texels_that_cannot_be_projected_are_read_from_the_base(
     view = bench.view(size=24, isovalue=0.6 * bench.scene.isovalue)
     bench.bake(view)
     bench.project(view)
-    frame = bench.renderer.render(view, enough=MAX_SAMPLES)
+    frame = bench.renderer.render(view, Goal(bench.scene.target_error))
     assert not frame.provisional and frame.quality.projection
     reading = frame.quality.projection.reading
     corners = frame.quality.projection.texels.corners

@@ -13,6 +13,7 @@ from weakref import WeakSet
 import numpy as np
 import pytest
 
+from isogi_core.bake.noise import Goal
 from isogi_core.errors import Cancelled
 from isogi_core.frame import gbuffer as gbuffer_module
 from isogi_core.frame import renderer as renderer_module
@@ -25,7 +26,6 @@ from isogi_core.frame.renderer import Renderer, unlit_frame
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL
 from isogi_core.model.choices import VIEW_SHADINGS
-from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.model.view import IDENTITY, View, quaternion_from_angles
 from isogi_core.model.volume import make_volume
 from tests.frame.conftest import (
@@ -66,7 +66,7 @@ def test_before_the_bake_a_frame_is_provisional_and_never_black(workbench: Make)
 
 
 def test_after_the_bake_a_frame_is_final(orbital: Workbench) -> None:
-    frame = orbital.renderer.render(orbital.view(), enough=MAX_SAMPLES)
+    frame = orbital.renderer.render(orbital.view(), Goal(orbital.scene.target_error))
     on = frame.state > 0
     assert (frame.state[on] == FINAL).all() and not frame.provisional
     assert frame.coverage["final"] == 1.0 and frame.demands == ()
@@ -79,11 +79,11 @@ def test_half_baked_light_is_converging(workbench: Make) -> None:
     bench = workbench(load_scene("demo:orbital", lights=[SKY], bounces=2))
     view = bench.view(size=32)
     bench.bake(view, target=1.0)
-    frame = bench.renderer.render(view, target=0.001, enough=MAX_SAMPLES)
+    frame = bench.renderer.render(view, Goal(0.001))
     states = set(np.unique(frame.state))
     assert CONVERGING in states and PROVISIONAL not in states
     assert frame.coverage["converging"] > 0.9 and len(frame.demands) > 0
-    assert bench.renderer.render(view, target=1.0, enough=MAX_SAMPLES).coverage["final"] == 1.0
+    assert bench.renderer.render(view, Goal(1.0)).coverage["final"] == 1.0
 
 
 @pytest.mark.slow
@@ -103,7 +103,7 @@ def test_a_quarter_of_the_texels_lights_all_of_a_picture(workbench: Make) -> Non
     )
     for each in first:
         refine_chunk(bench.caches.of("gi"), 256, 0.01, each)
-    frame = bench.renderer.render(view, 0.001)
+    frame = bench.renderer.render(view, Goal.checked(0.001))
     truth = bench.bake(view, 0.01)
     assert frame.coverage["provisional"] < 0.02
     wrong = relative_rmse(frame, truth)
@@ -268,7 +268,7 @@ def test_the_pool_is_read_once_for_a_view_until_it_changes(
         for turn in (IDENTITY, TURN, IDENTITY)
     }
     assert len(versions) == 2 and not readings, "the last frame of the bake read it"
-    bench.renderer.render(view, 0.001)
+    bench.renderer.render(view, Goal.checked(0.001))
     assert len(readings) == 1, "another target is another reading"
     bench.bake(view, 0.002)
     assert len(readings) > 1 and len({reading.version for reading in readings}) > 1
@@ -345,7 +345,10 @@ def test_a_cancelled_frame_stops(orbital: Workbench) -> None:
     for shading in VIEW_SHADINGS:
         with pytest.raises(Cancelled):
             orbital.again().renderer.render(orbital.view(shading=shading), cancelled=cancelled)
-    assert orbital.renderer.render(orbital.view(), enough=MAX_SAMPLES).coverage["final"] == 1.0
+    assert (
+        orbital.renderer.render(orbital.view(), Goal(orbital.scene.target_error)).coverage["final"]
+        == 1.0
+    )
 
 
 @pytest.mark.slow
@@ -392,7 +395,9 @@ ORBITAL = {"lights": [SKY], "bounces": 1, "target_error": 0.5}
 
 def unlit(bench: Workbench, view: View) -> Frame | None:
     """The frame of a view that is new, and has no light."""
-    return unlit_frame(bench.renderer, view, bench.scene.target_error, threading.Event())
+    return unlit_frame(
+        bench.renderer, view, Goal.checked(bench.scene.target_error), threading.Event()
+    )
 
 
 def test_it_demands_what_the_first_picture_does(
@@ -444,7 +449,7 @@ def test_it_ends_once_nobody_waits(workbench: Make) -> None:
     cancelled = threading.Event()
     cancelled.set()
     with pytest.raises(Cancelled):
-        unlit_frame(bench.renderer, bench.view(), 0.5, cancelled)
+        unlit_frame(bench.renderer, bench.view(), Goal.checked(0.5), cancelled)
 
 
 @pytest.mark.parametrize("settings", [{}, {"isovalue": 0.02}])
@@ -479,7 +484,7 @@ def test_a_picture_is_drawn_again_when_its_light_changed(workbench: Make) -> Non
     assert checked is not lit and checked.measured is not None
     # Other views, and other goals, have pictures of their own.
     assert bench.renderer.render(replace(view, width=33)) is not checked
-    assert bench.renderer.render(view, LOOSE / 2.0) is not checked
+    assert bench.renderer.render(view, Goal.checked(LOOSE / 2.0)) is not checked
     assert bench.renderer.render(view) is checked
 
 

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from isogi_core.bake.bake_spec import BakeSpec
+from isogi_core.bake.noise import Goal
 from isogi_core.bake.refine import locate, refine
 from isogi_core.bake.texel_light import Light
 from isogi_core.errors import Cancelled, StoreError, ViewError
@@ -23,7 +24,7 @@ from isogi_core.kernels.shading.framebuffer import PROVISIONAL
 from isogi_core.model.view import View
 from isogi_report import bench as benches
 from isogi_report import studies
-from isogi_report.bench import UNREACHED_TARGET, Bench, ViewBake
+from isogi_report.bench import UNREACHED_GOAL, Bench, ViewBake
 from isogi_report.exact import (
     CONVERGED_SAMPLE_FACTOR,
     converged,
@@ -55,7 +56,9 @@ def test_frames_have_the_bits_of_those_from_a_store(under_sky: Bench, tmp_path: 
     bake = ViewBake(under_sky.renderer(under_sky.scene), under_sky.view)
     bake.grow(16)
     bake.frame()
-    frame = Renderer(bake.renderer.caches, under_sky.tiles).render(under_sky.view, UNREACHED_TARGET)
+    frame = Renderer(bake.renderer.caches, under_sky.tiles).render(
+        under_sky.view, Goal.checked(UNREACHED_GOAL.error)
+    )
     stored = bake_view(make_renderer(under_sky.scene, str(tmp_path)), under_sky.view, 16)
     assert stored.surface > 20
     assert np.array_equal(frame.radiance, stored.radiance) and np.array_equal(
@@ -151,11 +154,9 @@ def measure_toil(monkeypatch: pytest.MonkeyPatch) -> None:
     toil = Toil()
     render = Renderer.render
 
-    def refined(
-        light: Light, texels: np.ndarray, look: BakeSpec, until: int, target: float
-    ) -> None:
+    def refined(light: Light, texels: np.ndarray, look: BakeSpec, until: int, goal: Goal) -> None:
         before = taken(light)
-        refine(light, texels, look, until, target)
+        refine(light, texels, look, until, goal)
         toil.spend(taken(light) - before)
 
     def rendered(renderer: Renderer, view: View, *args: Any, **more: Any) -> Frame:

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from isogi_core.bake.noise import Goal
 from isogi_core.frame.rays.picture_plan import Prices
 from isogi_core.frame.tiles import Tiles
 from isogi_core.model.view import View
@@ -38,12 +39,12 @@ check = LoadedScene.check
 
 
 def weigh_at(prices: Prices, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Have checks weigh the ways to a target at these ``prices``: small pictures would not pay for
+    """Have checks weigh the ways to a goal at these ``prices``: small pictures would not pay for
     tasks of texels.
     """
 
-    def _check(self: LoadedScene, view: View, target: float, tiles: Tiles, _: Prices) -> bool:
-        return check(self, view, target, tiles, prices)
+    def _check(self: LoadedScene, view: View, goal: Goal, tiles: Tiles, _: Prices) -> bool:
+        return check(self, view, goal, tiles, prices)
 
     monkeypatch.setattr(LoadedScene, "check", _check)
 

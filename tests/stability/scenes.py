@@ -13,6 +13,7 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from isogi_core.bake.bake_spec import SPECS
+from isogi_core.bake.noise import Goal
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.files.radiance import write_hdr
 from isogi_core.frame.film import develop
@@ -24,13 +25,12 @@ from isogi_core.kernels.tracing.cast import cast_batch, cast_one_by_one
 from isogi_core.kernels.tracing.field import Field
 from isogi_core.kernels.tracing.intersect import UNKNOWN_SIDE
 from isogi_core.kernels.tracing.ray_stream import Rays
-from isogi_core.model.scene_plan import most_samples
 from isogi_core.model.view import View
 from isogi_core.model.volume import Isovalue, Volume, make_volume
 from isogi_core.plan.planner import plan_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene, make_field
-from isogi_report.bench import BENCH_CACHE_BYTES, UNREACHED_TARGET, ViewBake
+from isogi_report.bench import BENCH_CACHE_BYTES, UNREACHED_GOAL, ViewBake
 from isogi_report.metrics import luminance_of
 from tests.loaded import load_scene
 from tests.stability.volumes import Specimen, ball, body, grid, ramp
@@ -147,10 +147,8 @@ def frame_of(scene: Scene, view: View, samples: int | None = None) -> Frame:
     with view_bake(scene, view) as bake:
         if not len(bake.texels):
             return bake.renderer.render(view)
-        bake.grow(
-            samples or most_samples(scene.target_error),
-            UNREACHED_TARGET if samples else scene.target_error,
-        )
+        goal = UNREACHED_GOAL if samples else Goal(scene.target_error)
+        bake.grow(samples or goal.most_samples, goal)
         return bake.frame()
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from isogi_core.bake.noise import Goal
 from isogi_core.frame.film import develop
 from isogi_core.frame.frame import Frame
 from isogi_core.kernels.transport.harmonics import MAX_ORDER, rotate
@@ -188,7 +189,7 @@ def test_frames_without_light_are_black_and_soon_final(light: Light) -> None:
     scene = lit(plane_volume(), -HEIGHT, light)
     view = view_of(scene, 8, **ABOVE)
     with view_bake(scene, view) as bake:
-        bake.grow(scene.plan.samples, scene.target_error)
+        bake.grow(scene.plan.samples, Goal(scene.target_error))
         bake.frame()
         frame = bake.renderer.render(view)
     assert not frame.provisional

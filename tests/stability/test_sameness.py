@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 from isogi_core.bake.bake_spec import SPECS
+from isogi_core.bake.noise import Goal
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import StoreError
@@ -24,7 +25,6 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Piece, Tiles
 from isogi_core.kernels.tracing.active_cells import ActiveCells
-from isogi_core.model.scene_plan import MAX_SAMPLES, most_samples
 from isogi_core.model.view import View
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.scene import CHUNK_SIDES, Scene
@@ -32,7 +32,7 @@ from isogi_core.prepared.active_cell_maps import ActiveCellMaps
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.runs import Run, serially
 from isogi_core.storage.backend import StoreUrl
-from isogi_report.bench import UNREACHED_TARGET
+from isogi_report.bench import UNREACHED_GOAL
 from isogi_report.speed import bake_chunks, wanted_of
 from isogi_worker.tasks import BakeTask, bake
 from tests.loaded import load_scene
@@ -81,12 +81,12 @@ class Site:
     def tasks(self, view: View, until: int | None = None) -> list[BakeTask]:
         """What is to be baked until all light of a view is final, or has so many samples."""
         spec = self.renderer.caches.spec(view.shading)
-        target = self.scene.target_error
+        goal = Goal(self.scene.target_error)
         what = (self.scene.source, spec.plan, spec.digest, StoreUrl.of(self.store))
-        most = until or most_samples(target)
-        demands = self.renderer.render(view, enough=MAX_SAMPLES).demands
+        most = until or goal.most_samples
+        demands = self.renderer.render(view, goal).demands
         return [
-            BakeTask(*what, each.index, each.offsets, each.footprints, most, target)
+            BakeTask(*what, each.index, each.offsets, each.footprints, most, goal)
             for each in demands
         ]
 
@@ -247,9 +247,10 @@ def baked_here(renderer: Renderer, view: View, samples: int) -> Frame:
     """The frame of a view whose light is baked by the renderer's own recipe, with so many samples
     each texel.
     """
-    if wanted := wanted_of(renderer.render(view, UNREACHED_TARGET)):
+    goal = Goal.checked(UNREACHED_GOAL.error)
+    if wanted := wanted_of(renderer.render(view, goal)):
         bake_chunks(renderer, view.shading, wanted, samples)
-    return renderer.render(view, UNREACHED_TARGET)
+    return renderer.render(view, goal)
 
 
 def test_a_bake_that_was_stopped_goes_on_to_the_same_picture() -> None:

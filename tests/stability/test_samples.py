@@ -15,7 +15,7 @@ from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.pixel_rays import Paths
 from isogi_core.model.scene_plan import MAX_SAMPLES, Layer
 from isogi_core.plan.budget import BYTE_ROUNDING, HALF_ONE
-from isogi_report.bench import UNREACHED_TARGET, ViewBake
+from isogi_report.bench import UNREACHED_GOAL, ViewBake
 from tests.stability.scenes import body_volume, is_finite, lit, view_bake, view_of
 
 EXPECTED = {"half floats": HALF_ONE, "bytes": BYTE_ROUNDING, "single floats": 1e-7}
@@ -89,7 +89,7 @@ def test_the_light_of_a_texel_is_the_mean_of_its_samples(count: int) -> None:
         texels = bake.texels[:8]
         spec = bake.spec
         kept, exact = (Light.dark(spec.plan, len(texels)) for _ in range(2))
-        refine(kept, texels, spec, count, UNREACHED_TARGET)
+        refine(kept, texels, spec, count, UNREACHED_GOAL)
         place, void = locate(texels, spec.prepared)
         layers = spec.plan.layers
         for part, (halves, _) in zip(

@@ -13,6 +13,7 @@ import numba
 import numpy as np
 
 from isogi_core.bake.bake_spec import spec_for
+from isogi_core.bake.noise import Goal
 from isogi_core.kernels._compilation import with_callees
 from isogi_core.kernels._jit import Entry
 from isogi_core.plan.assembly import load_scene
@@ -67,7 +68,7 @@ def tasks_for(store: Path, digest: str = SPEC.digest) -> list[BakeTask]:
     indices = [(z, y, 0) for z in (0, 1) for y in (0, 1)]
     what = (SCENE.source, SPEC.plan, digest, made(store))
     seen = np.ones(len(TEXELS), np.float32)
-    return [BakeTask(*what, index, TEXELS, seen, 64, 0.5) for index in indices]
+    return [BakeTask(*what, index, TEXELS, seen, 64, Goal(0.5)) for index in indices]
 
 
 def kernels_of_this_process() -> dict[str, bool]:

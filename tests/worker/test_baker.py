@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from isogi_core.bake.noise import Effort
+from isogi_core.bake.noise import Effort, Goal
 from isogi_core.cache.costs import Cost, Costs
 from isogi_core.errors import StoreAwayError, StoreError
 from isogi_core.files.scene_file import SceneSource
@@ -114,7 +114,7 @@ class Bench:
         seen = np.array([1.0, 0.5], np.float32)
         effort = Effort(2, 0.0, 0.0)
         demands = [Demand((0, 0, x), texels, 10.0 - x, effort, seen) for x in chunks]
-        return self.baker.request(scene, demands, 0.1, viewer)
+        return self.baker.request(scene, demands, Goal(0.1), viewer)
 
     def use_pool(self, room: int) -> FakePool:
         pool = FakePool(room)
@@ -137,11 +137,11 @@ def test_a_task_holds_all_that_a_worker_must_know(bench: Bench) -> None:
         "digest",
         StoreUrl("store"),
     )
-    assert (task.index, task.offsets.tolist(), task.until, task.target) == (
+    assert (task.index, task.offsets.tolist(), task.until, task.goal) == (
         (0, 0, 3),
         [1, 2],
         16,
-        0.1,
+        Goal(0.1),
     )
     assert task.footprints.tolist() == [1.0, 0.5]
 

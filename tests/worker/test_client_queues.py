@@ -3,7 +3,7 @@ import random
 import numpy as np
 import pytest
 
-from isogi_core.bake.noise import Effort
+from isogi_core.bake.noise import Effort, Goal
 from isogi_core.cache.costs import Cost
 from isogi_core.frame.demand import Demand
 from isogi_worker.bake_requests import BakeRequest, Key, Viewer
@@ -25,7 +25,7 @@ def request(
     seen = np.ones(len(TEXELS), np.float32)
     effort = Effort(4, 0.0, 0.0)
     demands = [Demand((0, 0, x), TEXELS, weight + x, effort, seen) for x in chunks]
-    queue.request([((bake, demand.index), demand) for demand in demands], 0.1, viewer)
+    queue.request([((bake, demand.index), demand) for demand in demands], Goal(0.1), viewer)
 
 
 def shared(one: str, other: str) -> bool:
@@ -71,7 +71,7 @@ def test_a_bake_with_a_shared_layer_waits_for_the_others_task() -> None:
     request(queue, VIEWERS[1], 1, bake="scene (near)")
     first = queue.take()
     assert first is not None and queue.take() is None
-    queue.finish(first.key, first.offsets, first.target, left(0, 0.0))
+    queue.finish(first.key, first.offsets, first.goal, left(0, 0.0))
     second = queue.take()
     assert second is not None and {first.key[0], second.key[0]} == SIBLINGS
 
@@ -84,7 +84,7 @@ def test_whatever_happens_no_work_is_passed_over(seed: int) -> None:
     chance = random.Random(seed)
     clock = Clock()
     queue = BakeQueue(clock, shared)
-    flown: dict[Key, tuple[np.ndarray, float]] = {}
+    flown: dict[Key, tuple[np.ndarray, Goal]] = {}
     for _ in range(600):
         step(queue, chance, clock, flown)
         possible = [each for each in queue.requests.values() if free(queue, each)]
@@ -95,11 +95,11 @@ def test_whatever_happens_no_work_is_passed_over(seed: int) -> None:
         if taken is not None:
             assert taken in possible
             assert worthy(queue, taken, possible)
-            flown[taken.key] = taken.offsets, taken.target
+            flown[taken.key] = taken.offsets, taken.goal
     while flown:
         land(queue, flown, 0, 0.0)
     while (taken := queue.take()) is not None:
-        queue.finish(taken.key, taken.offsets, taken.target, left(0, 0.0))
+        queue.finish(taken.key, taken.offsets, taken.goal, left(0, 0.0))
     assert not [each for each in queue.requests.values() if not each.given_up]
     assert not queue._in_flight and not queue._held
 
@@ -108,7 +108,7 @@ def step(
     queue: BakeQueue,
     chance: random.Random,
     clock: Clock,
-    flown: dict[Key, tuple[np.ndarray, float]],
+    flown: dict[Key, tuple[np.ndarray, Goal]],
 ) -> None:
     """Something happens: a view, a leaving, a task's end or its failure, time."""
     viewer = chance.choice(VIEWERS)
@@ -142,7 +142,7 @@ def step(
 
 def land(
     queue: BakeQueue,
-    flown: dict[Key, tuple[np.ndarray, float]],
+    flown: dict[Key, tuple[np.ndarray, Goal]],
     unfinished: int,
     priority: float,
     number: int = 0,

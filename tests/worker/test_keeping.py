@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from isogi_core.bake.bake_spec import BakeSpec, spec_for
+from isogi_core.bake.noise import Goal
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.plan.variants import cut_open
@@ -36,7 +37,9 @@ def do(
     """Bake the chunk for a scene, in a store of its own or one that others use."""
     Store(root).open()
     place = StoreUrl(str(root)), INDEX, TEXELS, np.ones(len(TEXELS), np.float32)
-    return bake(BakeTask(scene.source, spec.plan, spec.digest, *place, until, 0.05, whole=whole))
+    return bake(
+        BakeTask(scene.source, spec.plan, spec.digest, *place, until, Goal(0.05), whole=whole)
+    )
 
 
 def stored(root: Path, scene: Scene, spec: BakeSpec) -> list[bytes | None]:

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from isogi_core.bake.noise import Effort
+from isogi_core.bake.noise import Effort, Goal
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache.costs import Cost
 from isogi_core.frame.demand import Demand
@@ -21,6 +21,7 @@ from isogi_worker.queue import EXPIRY_CHECK_SECONDS, FORGET_AFTER, STALE_SECONDS
 from isogi_worker.tasks import BakeResult
 from tests.worker.clock import Clock
 
+GOAL = Goal(0.1)
 UNLIT = Effort(3, 0.0, 0.0)
 
 
@@ -50,19 +51,17 @@ def request(
     queue: BakeQueue,
     *demands: tuple[int, float],
     texels: tuple[int, ...] = (1, 2, 3),
-    target: float = 0.1,
+    goal: Goal = GOAL,
     effort: Effort = UNLIT,
     viewer: Viewer = GUEST_VIEWER,
-    enough: int = MAX_SAMPLES,
 ) -> None:
     """One view that demands chunks (x, weight)."""
     offsets = np.array(texels, np.int32)
     seen = np.array(texels, np.float32)
     queue.request(
         [(key(x), Demand((0, 0, x), offsets, weight, effort, seen)) for x, weight in demands],
-        target,
+        goal,
         viewer,
-        enough,
     )
 
 
@@ -82,7 +81,7 @@ def take(queue: BakeQueue) -> int | None:
 def end(queue: BakeQueue, x: int, result: BakeResult) -> None:
     """End the task of a chunk that was just taken, for all that was wanted of it."""
     taken = queue.requests[key(x)]
-    queue.finish(key(x), taken.offsets, taken.target, result)
+    queue.finish(key(x), taken.offsets, taken.goal, result)
 
 
 def test_an_empty_queue_gives_nothing(queue: BakeQueue) -> None:
@@ -136,7 +135,7 @@ def test_converged_chunks_wait_for_noisy_ones(queue: BakeQueue) -> None:
 
 
 def test_each_task_climbs_one_level_until_the_rest_is_short(queue: BakeQueue) -> None:
-    request(queue, (1, 1.0), target=0.1)
+    request(queue, (1, 1.0), goal=GOAL)
     steps = []
     for samples, more in (
         (16, 2.0 * LONG_TASK_PATHS),
@@ -156,11 +155,11 @@ def test_each_task_climbs_one_level_until_the_rest_is_short(queue: BakeQueue) ->
 
 def test_more_samples_of_lit_texels_are_one_task(queue: BakeQueue) -> None:
     """Nothing is without light, so no task looks for what is."""
-    request(queue, (1, 1.0), target=0.1, effort=Effort(0, 48.0, 48.0, lit=3))
+    request(queue, (1, 1.0), goal=GOAL, effort=Effort(0, 48.0, 48.0, lit=3))
     taken = taken_from(queue)
     assert taken.until == MAX_SAMPLES
-    request(queue, (1, 1.0), target=0.05, effort=Effort(0, 48.0, 480.0, lit=3))
-    queue.finish(key(1), taken.offsets, 0.1, DONE)
+    request(queue, (1, 1.0), goal=Goal(0.05), effort=Effort(0, 48.0, 480.0, lit=3))
+    queue.finish(key(1), taken.offsets, GOAL, DONE)
     taken = taken_from(queue)
     assert taken.until == MAX_SAMPLES
 
@@ -173,26 +172,26 @@ def test_a_request_in_flight_is_not_taken_twice(queue: BakeQueue) -> None:
     assert len(queue.open([key(1), key(2)])) == 1
 
 
-def test_texels_and_targets_of_several_views_are_merged(queue: BakeQueue) -> None:
-    request(queue, (1, 1.0), texels=(5, 9), target=0.1)
-    request(queue, (1, 7.0), texels=(2, 9, 11), target=0.3)
-    request(queue, (1, 3.0), texels=(2,), target=0.05)
+def test_texels_and_goals_of_several_views_are_merged(queue: BakeQueue) -> None:
+    request(queue, (1, 1.0), texels=(5, 9), goal=GOAL)
+    request(queue, (1, 7.0), texels=(2, 9, 11), goal=Goal(0.3))
+    request(queue, (1, 3.0), texels=(2,), goal=Goal(0.05))
     taken = taken_from(queue)
     assert taken.offsets.tolist() == [2, 5, 9, 11]
     assert taken.footprints.tolist() == [2.0, 5.0, 9.0, 11.0]
-    assert (taken.target, taken.priority) == (0.05, 3.0 / (3 * FIRST_LEVEL))
+    assert (taken.goal, taken.priority) == (Goal(0.05), 3.0 / (3 * FIRST_LEVEL))
 
 
-def test_the_target_is_known_without_merging_texels(
+def test_the_goal_is_known_without_merging_texels(
     queue: BakeQueue, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Every frame asks for the time left of hundreds of chunks, each of which many views may
     want.
     """
-    for target in (0.1, 0.05, 0.2):
-        request(queue, (1, 1.0), target=target, viewer=Viewer(target, 1))
+    for goal in (Goal(0.1), Goal(0.05, 64), Goal(0.2)):
+        request(queue, (1, 1.0), goal=goal, viewer=Viewer(goal, 1))
     monkeypatch.setattr(bake_requests, "merged", lambda _: pytest.fail("texels were merged"))
-    assert queue.requests[key(1)].target == 0.05
+    assert queue.requests[key(1)].goal == Goal(0.05)
 
 
 def test_new_texels_start_from_the_first_level(queue: BakeQueue) -> None:
@@ -205,38 +204,43 @@ def test_new_texels_start_from_the_first_level(queue: BakeQueue) -> None:
     assert queue.requests[key(1)].until == FIRST_LEVEL
 
 
-def test_a_stricter_target_starts_from_the_first_level(queue: BakeQueue) -> None:
-    request(queue, (1, 1.0), target=0.1)
+def test_a_stricter_goal_starts_from_the_first_level(queue: BakeQueue) -> None:
+    request(queue, (1, 1.0), goal=GOAL)
     take(queue)
     end(queue, 1, left(1, 0.6))
-    request(queue, (1, 1.0), target=0.01)
+    request(queue, (1, 1.0), goal=Goal(0.01))
     assert queue.requests[key(1)].until == FIRST_LEVEL
 
 
 @pytest.mark.parametrize(
-    ("texels", "target"), [((1, 2, 3, 4), 0.1), ((7,), 0.1), ((1, 2, 3), 0.01)]
+    ("texels", "goal"),
+    [
+        ((1, 2, 3, 4), GOAL),
+        ((7,), GOAL),
+        ((1, 2, 3), Goal(0.01)),
+    ],
 )
 def test_a_request_that_grew_in_flight_stays(
-    queue: BakeQueue, texels: tuple[int, ...], target: float
+    queue: BakeQueue, texels: tuple[int, ...], goal: Goal
 ) -> None:
     request(queue, (1, 1.0))
     flown = taken_from(queue)
     offsets = flown.offsets
-    former = flown.target
-    request(queue, (1, 50.0), (2, 20.0), texels=texels, target=target)
+    former = flown.goal
+    request(queue, (1, 50.0), (2, 20.0), texels=texels, goal=goal)
     queue.finish(key(1), offsets, former, DONE)
     again = taken_from(queue)
     assert again.key == key(1)
     assert set(again.offsets.tolist()) == {1, 2, 3, *texels}
-    assert again.target == min(0.1, target)
+    assert again.goal == Goal.strictest([GOAL, goal])
     assert again.until == FIRST_LEVEL
 
 
 def test_a_request_that_did_not_grow_in_flight_is_done(queue: BakeQueue) -> None:
     request(queue, (1, 1.0))
     take(queue)
-    request(queue, (1, 1.0), texels=(2,), target=0.5)
-    queue.finish(key(1), np.array([1, 2, 3], np.int32), 0.1, DONE)
+    request(queue, (1, 1.0), texels=(2,), goal=Goal(0.5))
+    queue.finish(key(1), np.array([1, 2, 3], np.int32), GOAL, DONE)
     assert queue.open([key(1)]) == []
 
 
@@ -360,12 +364,12 @@ def test_a_single_viewer_keeps_its_newest_view_alone(queue: BakeQueue) -> None:
 
 def test_a_client_that_leaves_drops_its_requests_alone(queue: BakeQueue) -> None:
     request(queue, (1, 9.0), (2, 9.0), texels=(1, 5), viewer=ANNA)
-    request(queue, (2, 1.0), texels=(5, 8), target=0.2, viewer=BERT)
+    request(queue, (2, 1.0), texels=(5, 8), goal=Goal(0.2), viewer=BERT)
     shared = queue.requests[key(2)]
-    assert (shared.offsets.tolist(), shared.target) == ([1, 5, 8], 0.1)
+    assert (shared.offsets.tolist(), shared.goal) == ([1, 5, 8], GOAL)
     queue.leave(ANNA)
     assert list(queue.requests) == [key(2)]
-    assert (shared.offsets.tolist(), shared.target) == ([5, 8], 0.2)
+    assert (shared.offsets.tolist(), shared.goal) == ([5, 8], Goal(0.2))
     queue.leave(BERT)
     assert queue.requests == {}
 
@@ -401,7 +405,7 @@ def test_viewers_take_turns_by_the_seconds_that_they_were_served(queue: BakeQueu
         queue.finish(
             taken.key,
             taken.offsets,
-            taken.target,
+            taken.goal,
             BakeResult(0, 0.0, UNLIT, Cost(cost, 48, 3, 0.1)),
         )
     assert served["Anna"] == pytest.approx(served["Bert"], abs=0.4)
@@ -436,7 +440,7 @@ def test_of_equals_the_nearest_to_final_comes_first(queue: BakeQueue) -> None:
         (key(x), Demand((0, 0, x), texels, 1.0, effort, seen))
         for x, effort in ((1, far), (2, near))
     ]
-    queue.request(both, 0.1)
+    queue.request(both, GOAL)
     assert [take(queue) for _ in range(2)] == [2, 1]
 
 
@@ -449,7 +453,7 @@ def whole_chunks(queue: BakeQueue, viewer: Viewer, unlit: int = len(CHUNK)) -> N
     seen = np.ones(len(CHUNK), np.float32)
     effort = Effort(unlit, 0.0, 0.0)
     demands = [(key(x), Demand((0, 0, x), CHUNK, 9.0 / x, effort, seen, bits=3)) for x in (1, 2)]
-    queue.request(demands, 0.1, viewer)
+    queue.request(demands, GOAL, viewer)
 
 
 def test_a_quarter_of_the_texels_has_light_first(queue: BakeQueue) -> None:
@@ -463,7 +467,7 @@ def test_a_quarter_of_the_texels_has_light_first(queue: BakeQueue) -> None:
         for each in taken:
             offsets, footprints = each.next
             assert each.until == FIRST_LEVEL and len(offsets) == len(footprints) == texels
-            queue.finish(each.key, offsets, 0.1, left(texels, 1.0))
+            queue.finish(each.key, offsets, GOAL, left(texels, 1.0))
     assert all(request.until == MAX_SAMPLES for request in queue.requests.values())
 
 
@@ -495,12 +499,12 @@ def test_given_up_chunks_are_not_retried_by_short_visits(queue: BakeQueue) -> No
 
 def test_what_goes_with_a_request_is_alike_and_not_too_much(clock: Clock) -> None:
     queue = BakeQueue(clock, rate=lambda _: TASK_SECONDS / 200.0)
-    request(queue, (4, 1.0), target=0.2)
+    request(queue, (4, 1.0), goal=Goal(0.2))
     request(queue, *((x, 1.0) for x in range(4)))
     first = taken_from(queue)
     assert len(queue.take_along(first, 7)) == 2  # texels: three each
     first = taken_from(queue)
-    assert len(queue.take_along(first, 100)) == 2  # the next has another target
+    assert len(queue.take_along(first, 100)) == 2  # the next has another goal
     request(queue, *((x, 1.0) for x in range(10, 16)))
     first = taken_from(queue)
     assert len(queue.take_along(first, 100)) == 4  # seconds: 48 paths each of 200
@@ -534,7 +538,7 @@ def test_the_rest_of_a_rung_is_shared_by_all_workers(clock: Clock) -> None:
 def test_rungs_of_one_picture_are_taken_together(clock: Clock) -> None:
     """What is long by itself goes with what is short where both end at the picture's rung."""
     queue = BakeQueue(clock, rate=lambda _: 1e-9)
-    request(queue, (1, 1.0), (2, 1.0), enough=4 * FIRST_LEVEL)
+    request(queue, (1, 1.0), (2, 1.0), goal=Goal(0.1, 4 * FIRST_LEVEL))
     assert take(queue) is not None and take(queue) is not None
     for x, left in ((1, 48.0), (2, 1e6)):
         end(queue, x, BakeResult(3, 1.0, Effort(0, 6.0 * FIRST_LEVEL, left, lit=3), Cost(9.0, 48)))
@@ -554,7 +558,7 @@ def test_a_view_drawn_before_its_light_came_opens_nothing(queue: BakeQueue, cloc
     request(queue, (1, 1.0), texels=(1, 2, 3, 4))
     assert take(queue) == 1
     end(queue, 1, DONE)
-    request(queue, (1, 1.0), target=0.05)
+    request(queue, (1, 1.0), goal=Goal(0.05))
     assert take(queue) == 1
     end(queue, 1, DONE)
     clock.now += STALE_SECONDS

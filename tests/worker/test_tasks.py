@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from isogi_core.bake.bake_spec import BakeSpec, spec_for
-from isogi_core.bake.noise import Effort, finished, relative_error, standard_error
+from isogi_core.bake.noise import Effort, Goal, finished, relative_error, standard_error
 from isogi_core.bake.refine import locate
 from isogi_core.cache.chunk_store import ChunkStore
 from isogi_core.cache.scene_assets import send_assets
@@ -67,9 +67,8 @@ def task(
 ) -> BakeTask:
     """A task for a chunk, all of whose texels are seen alike."""
     seen = np.ones(len(texels), np.float32)
-    return BakeTask(
-        SCENE.source, spec.plan, spec.digest, made(root), INDEX, texels, seen, until, target, **more
-    )
+    what = SCENE.source, spec.plan, spec.digest, made(root), INDEX, texels, seen
+    return BakeTask(*what, until, Goal(target), **more)
 
 
 def do(root: Path, texels: np.ndarray = TEXELS, **more: Any) -> BakeResult:
@@ -97,12 +96,12 @@ def test_a_task_leaves_light_of_just_its_texels(tmp_path: Path) -> None:
     chunk = store_of(tmp_path).load(INDEX)
     np.testing.assert_array_equal(chunk.offsets, TEXELS)
     assert [set(part.samples.tolist()) for part in chunk.light.parts] == [{16}, {16}]
-    waiting = ~finished(chunk.light, store_of(tmp_path).spec, 0.05)
+    waiting = ~finished(chunk.light, store_of(tmp_path).spec, Goal(0.05))
     error = relative_error(chunk.light, store_of(tmp_path).spec)[waiting]
     assert result.unfinished == waiting.sum() > 0
     noise = standard_error(chunk.light, store_of(tmp_path).spec)[waiting]
     assert result.priority == pytest.approx((noise**2).mean() / 16)
-    assert result.effort == Effort.of(error, np.full(len(error), 16), 0.05)
+    assert result.effort == Effort.of(error, np.full(len(error), 16), Goal(0.05))
     assert (result.cost.paths, result.cost.texels) == (16 * len(TEXELS), len(TEXELS))
     assert result.cost.seconds == result.cost.first > 0.0
 
@@ -114,7 +113,7 @@ def test_a_finished_task_says_so(tmp_path: Path) -> None:
     chunk = store_of(tmp_path).load(INDEX)
     assert result.cost.paths == chunk.light.samples[~chunk.light.void].sum()
     assert do(tmp_path, target=target).cost[1:] == (0, 0, 0.0)
-    assert finished(chunk.light, store_of(tmp_path).spec, target).all()
+    assert finished(chunk.light, store_of(tmp_path).spec, Goal(target)).all()
     assert all(len(set(part.samples.tolist())) > 1 for part in chunk.light.parts)
 
 
@@ -147,7 +146,7 @@ def test_chunks_baked_together_have_the_bytes_of_single_ones(tmp_path: Path) -> 
         do(root, TEXELS[::2], until=32)
         what = SCENE.source, SPEC.plan, SPEC.digest, made(root)
         wanted = [(INDEX, TEXELS, SEEN), ((1, 1, 1), TEXELS[::3], 100.0 * SEEN[::3])]
-        tasks = [BakeTask(*what, *each, 256, 0.01) for each in wanted]
+        tasks = [BakeTask(*what, *each, 256, Goal(0.01)) for each in wanted]
         if together:
             results = bake_all(tasks)
         else:
@@ -339,7 +338,7 @@ def test_a_worker_without_the_files_leaves_the_same_bytes(
     scene = load_scene(tmp_path / "away" / small_scene.name)
     spec = spec_for(PreparedScene(scene), "gi")
     what = scene.source, spec.plan, spec.digest, made(tmp_path / "own")
-    here = BakeTask(*what, (0, 0, 0), TEXELS[:40], SEEN[:40], 64, 0.5)
+    here = BakeTask(*what, (0, 0, 0), TEXELS[:40], SEEN[:40], 64, Goal(0.5))
     bake(here)
     assets = send_assets(scene, Store(tmp_path / "other"))
     (tmp_path / "away").rename(tmp_path / "gone")

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from isogi_core.bake.noise import Effort
+from isogi_core.bake.noise import Effort, Goal
 from isogi_core.bake.texel_light import FIRST_LEVEL, next_level
 from isogi_core.frame.demand import Demand, first_texels
 from isogi_core.model.scene_plan import MAX_SAMPLES
@@ -72,7 +72,7 @@ class Interest:
     """The interest of a ``viewer`` in a chunk.
 
     - ``offsets``, ``footprints``: the texels, and how much of each is seen.
-    - ``target``, ``enough``: the relative error, or else the samples, at which texels need no more.
+    - ``goal``: of the client's picture.
     - ``priority``: squared visible error of the light, over the paths taken.
     - ``view``, ``asked``: the number of the view that asked last, the newest being the highest, and
       the time, in seconds of the queue's clock.
@@ -83,19 +83,18 @@ class Interest:
     viewer: Viewer
     offsets: np.ndarray
     footprints: np.ndarray
-    target: float
+    goal: Goal
     priority: float
     view: int
     asked: float
     since: float
-    enough: int = MAX_SAMPLES
     ticket: int = 0
 
-    def covers(self, offsets: np.ndarray, target: float, enough: int) -> bool:
-        """Return True if this interest includes the texels at ``offsets`` (m,) int32, ascending, at
-        a relative error of ``target`` or a stricter one, and at ``enough`` samples or more.
+    def covers(self, offsets: np.ndarray, goal: Goal) -> bool:
+        """Return True if this interest includes the texels at ``offsets`` (m,) int32, ascending,
+        for a ``goal``.
         """
-        return self.target <= target and self.enough >= enough and contained(offsets, self.offsets)
+        return self.goal.covers(goal) and contained(offsets, self.offsets)
 
     def joined(self, newer: "Interest") -> "Interest":
         """Return this interest merged with a ``newer`` one of the same client.
@@ -103,26 +102,22 @@ class Interest:
         It has the texels of both, and the priority, view and time of the newer one, which knows
         better how far the light is.
         """
-        offsets, footprints, target, enough = merged((self, newer))
-        texels = (offsets, footprints, target)
+        wanted = merged((self, newer))
         since = min(self.since, newer.since)
-        return Interest(
-            newer.viewer, *texels, newer.priority, newer.view, newer.asked, since, enough
-        )
+        return Interest(newer.viewer, *wanted, newer.priority, newer.view, newer.asked, since)
 
 
 class MergedInterest(NamedTuple):
     """Several interests as one: the texels ``offsets`` of all, the largest ``footprints`` of each,
-    the strictest ``target``, and the most samples that are ``enough``.
+    and the strictest ``goal``.
     """
 
     offsets: np.ndarray
     footprints: np.ndarray
-    target: float
-    enough: int
+    goal: Goal
 
 
-NO_INTEREST = MergedInterest(np.empty(0, np.int32), np.empty(0, np.float32), np.inf, 0)
+NO_INTEREST = MergedInterest(np.empty(0, np.int32), np.empty(0, np.float32), Goal(math.inf, 0))
 
 
 @dataclass(eq=False)
@@ -207,22 +202,15 @@ class BakeRequest:
         return int(self.begun)
 
     @property
-    def target(self) -> float:
-        """The strictest target of all clients that are interested.
+    def goal(self) -> Goal:
+        """The strictest goal of all clients that are interested.
 
         It is taken from each of them, as merging their texels would slow down estimates of the time
         left. If none is left, it is the last merged one.
         """
-        return min(
-            (interest.target for interest in self.interests.values()), default=self._merged.target
-        )
-
-    @property
-    def enough(self) -> int:
-        """The most samples that are enough for any client."""
-        return max(
-            (interest.enough for interest in self.interests.values()), default=self._merged.enough
-        )
+        if not self.interests:
+            return self._merged.goal
+        return Goal.strictest(interest.goal for interest in self.interests.values())
 
     @property
     def asked(self) -> float:
@@ -237,7 +225,7 @@ class BakeRequest:
     @property
     def until(self) -> int:
         """The number of samples beyond which its next task takes no texel."""
-        return min(next_until(self.effort), self.enough)
+        return min(next_until(self.effort), self.goal.samples)
 
     @property
     def paths(self) -> float:
@@ -262,20 +250,12 @@ class BakeRequest:
         return not (self.in_flight or self.postponed or self.given_up)
 
     def add_interest(
-        self,
-        demand: Demand,
-        target: float,
-        viewer: Viewer,
-        view: int,
-        now: float,
-        enough: int = MAX_SAMPLES,
+        self, demand: Demand, goal: Goal, viewer: Viewer, view: int, now: float
     ) -> None:
-        """Add the ``demand`` of the newest view of a ``viewer``.
+        """Add the ``demand`` of the newest view of a ``viewer``, for the ``goal`` of its picture.
 
-        - ``target``, ``enough``: the relative error, or else the samples, at which a texel needs no
-          more.
-        - ``view``: the number of the view, higher than that of any view before.
-        - ``now``: the time of the request, in seconds of the queue's clock.
+        ``view`` is the number of the view, higher than that of any view before, and ``now`` the
+        time of the request, in seconds of the queue's clock.
 
         A client has one interest in a chunk: the demand is merged into it, or replaces it if the
         viewer is single.
@@ -284,10 +264,10 @@ class BakeRequest:
         # The demand's effort may be out of date, as its frame may have been drawn before the last
         # task ended. If the frame asks for nothing that the older one did not, keep the effort that
         # the task has returned.
-        known = self._known and older is not None and older.covers(demand.offsets, target, enough)
+        known = self._known and older is not None and older.covers(demand.offsets, goal)
         since = now if older is None else older.since
-        seen = demand.offsets, demand.footprints, target, priority_of(demand)
-        interest = Interest(viewer, *seen, view, now, since, enough)
+        seen = demand.offsets, demand.footprints, goal, priority_of(demand)
+        interest = Interest(viewer, *seen, view, now, since)
         # A single viewer no longer wants the texels of its older view.
         if older is None or viewer.single:
             self.interests[viewer.client] = interest
@@ -303,13 +283,13 @@ class BakeRequest:
         self._change_priority(-self.interests.pop(client).priority)
         self._stale = True
 
-    def exceeds(self, offsets: np.ndarray, target: float, enough: int) -> bool:
-        """Return True if the clients want any texel that is not at ``offsets``, or a stricter
-        relative error than ``target``, or more samples than ``enough``.
+    def exceeds(self, offsets: np.ndarray, goal: Goal) -> bool:
+        """Return True if the clients want any texel that is not at ``offsets``, or more than the
+        ``goal``.
 
         ``offsets`` (m,) int32 must be ascending.
         """
-        return exceeds(self._merge(), offsets, target, enough)
+        return exceeds(self._merge(), offsets, goal)
 
     def advance(self, result: BakeResult, grown: bool) -> None:
         """Take over priority and effort from the ``result`` of a task.
@@ -350,8 +330,8 @@ class BakeRequest:
             before = self._merged
             self._merged = merged(self.interests.values())
             self._stale = False
-            # The last result did not count new texels, or a stricter target.
-            if exceeds(self._merged, before.offsets, before.target, before.enough):
+            # The last result did not count new texels, or a stricter goal.
+            if exceeds(self._merged, before.offsets, before.goal):
                 self._known = False
         return self._merged
 
@@ -374,30 +354,26 @@ def next_until(effort: Effort) -> int:
 
 def merged(interests: Collection[Interest]) -> MergedInterest:
     """Return all ``interests`` as one: the texels in ascending order,
-    the largest footprint of each, and the strictest target.
+    the largest footprint of each, and the strictest goal.
     """
     if len(interests) == 1:
         (alone,) = interests
-        return MergedInterest(alone.offsets, alone.footprints, alone.target, alone.enough)
+        return MergedInterest(alone.offsets, alone.footprints, alone.goal)
     wanted = np.concatenate([interest.offsets for interest in interests])
     # Scatter the footprints into an array over the chunk; texels that nobody wants keep -1.
     seen = np.full(1 + int(wanted.max(initial=-1)), -1.0, np.float32)
     np.maximum.at(seen, wanted, np.concatenate([interest.footprints for interest in interests]))
     offsets = np.flatnonzero(seen >= 0.0).astype(np.int32)
-    target = min(each.target for each in interests)
-    enough = max(each.enough for each in interests)
-    return MergedInterest(offsets, seen[offsets], target, enough)
+    goal = Goal.strictest(each.goal for each in interests)
+    return MergedInterest(offsets, seen[offsets], goal)
 
 
-def exceeds(wanted: MergedInterest, offsets: np.ndarray, target: float, enough: int) -> bool:
-    """Return True if any texel is ``wanted`` that is not at ``offsets``, or a stricter relative
-    error than ``target``, or more samples than ``enough``.
+def exceeds(wanted: MergedInterest, offsets: np.ndarray, goal: Goal) -> bool:
+    """Return True if any texel is ``wanted`` that is not at ``offsets``, or more than the ``goal``.
 
     ``offsets`` (m,) int32 must be ascending.
     """
-    return (
-        wanted.target < target or wanted.enough > enough or not contained(wanted.offsets, offsets)
-    )
+    return not (goal.covers(wanted.goal) and contained(wanted.offsets, offsets))
 
 
 def contained(offsets: np.ndarray, others: np.ndarray) -> bool:

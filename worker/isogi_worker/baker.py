@@ -12,13 +12,14 @@ from functools import partial
 from typing import TYPE_CHECKING
 from uuid import uuid4
 
+from isogi_core.bake.noise import Goal
 from isogi_core.cache.costs import Cost, Costs
 from isogi_core.cache.fresh_light import FreshLight
 from isogi_core.errors import StoreAwayError
 from isogi_core.files.scene_file import SceneSource
 from isogi_core.frame.demand import Demand
 from isogi_core.frame.texel_reading import Stage
-from isogi_core.model.scene_plan import MAX_SAMPLES, ScenePlan
+from isogi_core.model.scene_plan import ScenePlan
 from isogi_core.model.volume import Isovalue
 from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.backend import StoreUrl
@@ -236,21 +237,20 @@ class Baker:
         self,
         scene: str,
         demands: Iterable[Demand],
-        target: float,
+        goal: Goal,
         viewer: Viewer = GUEST_VIEWER,
-        enough: int = MAX_SAMPLES,
     ) -> frozenset[Index]:
-        """Request the light that the newest view of a ``viewer`` lacks, by its ``demands``.
+        """Request the light that the newest view of a ``viewer`` lacks for the ``goal`` of its
+        picture, by its ``demands``.
 
-        ``target`` is the relative error of the picture, and ``enough`` the samples beyond which no
-        texel goes. Return the chunks that will be baked, or were baked since the view was drawn;
-        none if the scene was dropped.
+        Return the chunks that will be baked, or were baked since the view was drawn; none if the
+        scene was dropped.
         """
         wanted: list[tuple[Key, Demand]] = [((scene, demand.index), demand) for demand in demands]
         with self._changed:
             if scene not in self._bakes:
                 return frozenset()
-            stale = self._queue.request(wanted, target, viewer, enough)
+            stale = self._queue.request(wanted, goal, viewer)
             self._feed()
             coming = self._queue.open(key for key, _ in wanted)
             return frozenset(index for _, index in (*stale, *(each.key for each in coming)))
@@ -327,9 +327,9 @@ class Baker:
                 return None
             open_now = self._queue.open((scene, index) for index in indices)
             # Sum up the processor seconds of open requests and of later stages.
-            work = [Work(each.key[1], each.effort, each.target, each.enough) for each in open_now]
+            work = [Work(each.key[1], each.effort, each.goal) for each in open_now]
             work += [
-                Work(each.index, each.effort, *stage.goal)
+                Work(each.index, each.effort, stage.goal)
                 for stage in later
                 for each in stage.demands
             ]
@@ -487,7 +487,7 @@ class Baker:
         """Return the task of a request."""
         index = request.key[1]
         place = (bake.source, bake.plan, bake.digest, bake.store_url, index)
-        what = (*request.next, request.until, request.target)
+        what = (*request.next, request.until, request.goal)
         # The other baker may have been killed: after LONGEST_REST its claim counts no more.
         insists = request.waited >= LONGEST_REST
         # A worker needs no read of the store if the light of its texels is in memory.
@@ -502,7 +502,6 @@ class Baker:
             insists,
             bake.shown,
             bake.whole,
-            request.enough,
             keeps,
             light,
         )
@@ -557,7 +556,7 @@ class Baker:
             self._duplicate += outcome.duplicate
             self._healed += outcome.healed
             self._kept += outcome.kept
-            self._queue.finish(key, task.offsets, task.target, outcome, task.enough)
+            self._queue.finish(key, task.offsets, task.goal, outcome)
         elif isinstance(outcome, WorkersAwayError):
             # The workers are gone, which is no fault of the chunk: try it again when others come.
             self._queue.put_off(key)

@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from isogi_core.bake.noise import RATE, Effort
+from isogi_core.bake.noise import RATE, Effort, Goal
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache.costs import TASK_OVERHEAD_SECONDS, Costs
-from isogi_core.model.scene_plan import MAX_SAMPLES, MIN_SAMPLES, most_samples
+from isogi_core.model.scene_plan import MIN_SAMPLES
 from isogi_core.prepared.prepared_scene import Index
 
 
@@ -394,29 +394,26 @@ class Pace:
 
 
 class Work(NamedTuple):
-    """The work at a ``chunk``: the ``effort`` of its texels
-    to reach the relative error ``target``, or ``enough`` samples.
-    """
+    """The work at a ``chunk``: the ``effort`` of its texels to reach a ``goal``."""
 
     chunk: Index
     effort: Effort
-    target: float
-    enough: int = MAX_SAMPLES
+    goal: Goal
 
 
 def work_seconds(work: Sequence[Work], costs: Costs) -> list[float] | None:
     """Return the processor seconds that each piece of ``work`` will take, by the measured ``costs``
     of a bake; None if unknown.
 
-    The work at hand comes first in ``work``; later stages follow, with targets of their own. A
+    The work at hand comes first in ``work``; later stages follow, with goals of their own. A
     texel without light is taken to need its ``expected`` samples (see ``Effort``), a path each. If
     these are unknown, it is taken to need as many paths as other texels of the bake took or will
-    take, more if its target is stricter, but no more than its target allows.
+    take, more if its goal is stricter, but no more than its goal allows.
     """
-    # Mean paths per texel of the bake, those taken and those left to the same target, and mean
+    # Mean paths per texel of the bake, those taken and those left to the same error, and mean
     # seconds of its first light.
     total = costs.total
-    left = sum(each.effort.left for each in work if each.target == work[0].target)
+    left = sum(each.effort.left for each in work if each.goal.error == work[0].goal.error)
     rates = [costs.rate(each.chunk) for each in work]
     if None in rates or (not total.texels and any(each.effort.unlit for each in work)):
         return None
@@ -432,9 +429,9 @@ def work_seconds(work: Sequence[Work], costs: Costs) -> list[float] | None:
         take after their first light.
         """
         unlit = each.effort.unlit
-        # Paths grow with 1 / error^RATE, so a later stage of half the target takes 2^RATE times as
+        # Paths grow with 1 / error^RATE, so a later stage of half the error takes 2^RATE times as
         # many.
-        stricter = (work[0].target / each.target) ** RATE
+        stricter = (work[0].goal.error / each.goal.error) ** RATE
         # Expected samples are the sum over all unlit texels of the chunk. They include first light,
         # FIRST_LEVEL paths a texel, which must not count here.
         if unlit and each.effort.expected:
@@ -452,10 +449,9 @@ def paths_after_first(usual: float, work: Work) -> float:
     """Return the paths that a texel without light will take after first light,
     if other texels take ``usual`` paths in all.
 
-    It takes no fewer than the least number of samples, and no more than the target allows or than
-    are ``enough``.
+    It takes no fewer than the least number of samples, and no more than its goal allows.
     """
-    return min(max(usual, MIN_SAMPLES), most_samples(work.target), work.enough) - FIRST_LEVEL
+    return min(max(usual, MIN_SAMPLES), work.goal.most_samples) - FIRST_LEVEL
 
 
 # --- cost of a whole bake, by a rehearsal

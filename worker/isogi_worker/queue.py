@@ -21,8 +21,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from isogi_core.bake.noise import Goal
 from isogi_core.frame.demand import Demand
-from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.prepared.prepared_scene import Index
 from isogi_worker.bake_requests import (
     GUEST_VIEWER,
@@ -177,12 +177,10 @@ class BakeQueue:
     def request(
         self,
         demands: Iterable[tuple[Key, Demand]],
-        target: float,
+        goal: Goal,
         viewer: Viewer = GUEST_VIEWER,
-        enough: int = MAX_SAMPLES,
     ) -> set[Key]:
-        """Add the demands of the newest view of a ``viewer``, until a ``target`` error or
-        ``enough`` samples.
+        """Add the demands of the newest view of a ``viewer``, for the ``goal`` of its picture.
 
         Return the chunks that are left out, as their light has come since the view was drawn.
         """
@@ -191,29 +189,25 @@ class BakeQueue:
         self.views += 1
         now = self.clock()
         for key, demand in demands:
-            if key not in self.requests and self._has_come(key, demand, target, enough):
+            if key not in self.requests and self._has_come(key, demand, goal):
                 stale.add(key)
                 continue
             request = self.requests.get(key) or self.requests.setdefault(key, BakeRequest(key))
             if not request.given_up:
-                request.add_interest(demand, target, viewer, self.views, now, enough)
+                request.add_interest(demand, goal, viewer, self.views, now)
                 self._add_for(request, viewer.client)
         # A single viewer has left its older views: drop the requests that this view does not renew.
         if viewer.single:
             self._release(viewer, self.views)
         return stale
 
-    def _has_come(self, key: Key, demand: Demand, target: float, enough: int) -> bool:
+    def _has_come(self, key: Key, demand: Demand, goal: Goal) -> bool:
         """Return True if the light that is demanded
         of a chunk was finished within the last STALE_SECONDS.
         """
         when, done = self._finished.get(key, (-math.inf, NO_INTEREST))
-        return self.clock() - when < STALE_SECONDS and not exceeds(
-            MergedInterest(demand.offsets, demand.footprints, target, enough),
-            done.offsets,
-            done.target,
-            done.enough,
-        )
+        wanted = MergedInterest(demand.offsets, demand.footprints, goal)
+        return self.clock() - when < STALE_SECONDS and not exceeds(wanted, done.offsets, done.goal)
 
     def leave(self, viewer: Viewer) -> None:
         """Drop the interests that a ``viewer`` was the last of its client to renew."""
@@ -252,7 +246,7 @@ class BakeQueue:
         """Take further requests for the task of the request that was just taken: at most ``most``
         texels, and TASK_SECONDS.
 
-        They are the next ones of the same client, as long as these are of the same bake, target and
+        They are the next ones of the same client, as long as these are of the same bake, goal and
         sample level. If the work left would not fill ``tasks`` tasks, it is shared evenly among
         them, so that all workers end at the same time.
         """
@@ -262,17 +256,17 @@ class BakeQueue:
         patient, client = self._turn
         # Predict the client's waiting work from the first request, and share it among the tasks.
         waiting = seconds * (1 + self._queues.length(patient, client))
-        enough = min(max(waiting / tasks, SHORT_TASK_SECONDS), TASK_SECONDS)
+        most_seconds = min(max(waiting / tasks, SHORT_TASK_SECONDS), TASK_SECONDS)
         while (
             left > 0
-            and seconds < enough
+            and seconds < most_seconds
             and not first.suspect
             and (found := self._first(patient, client))
         ):
             left = left - len(found.next[0])
             seconds = seconds + self.seconds(found)
             # This one does not fit any more: put it back, and stop.
-            if left < 0 or seconds > enough or not alike(first, found):
+            if left < 0 or seconds > most_seconds or not alike(first, found):
                 self._rank_for(found, client)
                 break
             self._start(found, client)
@@ -297,15 +291,9 @@ class BakeQueue:
             request.effort.left,
         )
 
-    def finish(
-        self,
-        key: Key,
-        offsets: np.ndarray,
-        target: float,
-        result: BakeResult,
-        enough: int = MAX_SAMPLES,
-    ) -> None:
-        """Take over the ``result`` of a task for the texels at ``offsets`` of a chunk.
+    def finish(self, key: Key, offsets: np.ndarray, goal: Goal, result: BakeResult) -> None:
+        """Take over the ``result`` of a task with a ``goal`` for the texels at ``offsets`` of a
+        chunk.
 
         The request stays if work is left.
         """
@@ -315,12 +303,12 @@ class BakeQueue:
         request.suspect = False
         request.waited = 0.0
         # Views may have asked for more while the task was in flight.
-        grown = request.exceeds(offsets, target, enough)
+        grown = request.exceeds(offsets, goal)
         if not request.interests:
             del self.requests[key]
         elif result.unfinished == 0 and not grown:
             # Remember the finished light for a while, as views drawn before may still ask for it.
-            done = MergedInterest(request.offsets, request.footprints, target, enough)
+            done = MergedInterest(request.offsets, request.footprints, goal)
             self._finished[key] = self.clock(), done
             self._drop_all(request)
         else:
@@ -574,12 +562,7 @@ class BakeQueue:
 
 def alike(one: BakeRequest, other: BakeRequest) -> bool:
     """Return True if one task can bake both requests."""
-    same = (one.key[0], one.target, one.enough, one.until) == (
-        other.key[0],
-        other.target,
-        other.enough,
-        other.until,
-    )
+    same = (one.key[0], one.goal, one.until) == (other.key[0], other.goal, other.until)
     return same and not other.suspect
 
 

@@ -14,7 +14,7 @@ from weakref import WeakValueDictionary
 import numpy as np
 
 from isogi_core.bake.bake_spec import BakeSpec
-from isogi_core.bake.noise import Effort, efforts, level, standard_error
+from isogi_core.bake.noise import Effort, Goal, efforts, level, standard_error
 from isogi_core.bake.refine import (
     Located,
     Remains,
@@ -55,7 +55,7 @@ from isogi_core.kernels.transport.transfer import (
     locate_texels,
     project_texels,
 )
-from isogi_core.model.scene_plan import MAX_SAMPLES, ScenePlan
+from isogi_core.model.scene_plan import ScenePlan
 from isogi_core.model.value_survey import no_progress
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.assembly import build_scene
@@ -197,10 +197,7 @@ def load_kernels(kinds: Iterable[str]) -> None:
 @dataclass(frozen=True, eq=False)
 class BakeTask:
     """A task: bring the texels at ``offsets`` of a chunk, seen by their ``footprints``, to
-    ``until`` samples.
-
-    Texels need no more once they are good for pictures of the relative error ``target``, or have
-    ``enough`` samples.
+    ``until`` samples. Texels need no more once they are good for pictures with the ``goal``.
 
     - ``source``, ``assets``: the scene; assets are opened in place of its files.
     - ``plan``, ``digest``: the layers to bake, and the name of the light that the server means, as
@@ -223,13 +220,12 @@ class BakeTask:
     offsets: np.ndarray
     footprints: np.ndarray
     until: int
-    target: float
+    goal: Goal
     assets: Assets | None = None
     owner: str = ""
     insists: bool = False
     shown: Isovalue | None = None
     whole: Whole | None = None
-    enough: int = MAX_SAMPLES
     keeps: bool = False
     light: Chunk | None = None
 
@@ -425,7 +421,7 @@ Outcome = BakeResult | Exception
 
 
 def bake_all(tasks: Sequence[BakeTask]) -> list[Outcome]:
-    """Do tasks of one bake and target together, so that the paths of their texels fill whole waves.
+    """Do tasks of one bake and goal together, so that the paths of their texels fill whole waves.
 
     If that fails, do each task alone, so that a fault of one chunk harms no other.
     """
@@ -455,7 +451,7 @@ def bake(task: BakeTask) -> BakeResult:
 
 
 def bake_together(tasks: Sequence[BakeTask]) -> list[BakeResult]:
-    """Do tasks of one bake and target, except those whose chunks other bakers have claimed; return
+    """Do tasks of one bake and goal, except those whose chunks other bakers have claimed; return
     a result for each, BAKED_ELSEWHERE for the excepted ones.
     """
     first = tasks[0]
@@ -642,21 +638,20 @@ def keep_light(light: Light, spec: BakeSpec, tasks: Sequence[BakeTask]) -> np.nd
     if lender is None:
         return np.zeros(len(light), np.bool_)
     places = [(task.index, task.offsets) for task in tasks]
-    waiting = next_samples(light, spec, first.target, first.enough) == 0
+    waiting = next_samples(light, spec, first.goal) == 0
     return lender.lend(light, waiting, places)
 
 
 def sample_texels(light: Light, texels: np.ndarray, spec: BakeSpec, *tasks: BakeTask) -> None:
-    """Add samples to the ``texels`` (m, 3; z, y, x) of tasks of one target, level by level;
+    """Add samples to the ``texels`` (m, 3; z, y, x) of tasks of one goal, level by level;
     ``light`` is changed in place.
 
     The rows are those of one task after the other. The number of samples that a texel gets depends
     on its task only, and not on the other tasks.
     """
-    target = tasks[0].target
-    enough = tasks[0].enough
+    goal = tasks[0].goal
     until = np.repeat([task.until for task in tasks], [len(task.offsets) for task in tasks])
-    waiting = next_samples(light, spec, target, enough)
+    waiting = next_samples(light, spec, goal)
     located: Located | None = None
     while (climbing := (waiting >= 0) & (waiting < until)).any():
         # All texels at the lowest level climb together; then ask again which ones are good enough.
@@ -664,9 +659,9 @@ def sample_texels(light: Light, texels: np.ndarray, spec: BakeSpec, *tasks: Bake
         rows = np.flatnonzero(climbing & (waiting == lowest))
         part = light.rows(rows)
         located = located or locate(texels, spec.prepared, spec.shown)
-        refine(part, texels[rows], spec, lowest + 1, target, some_located(located, rows))
+        refine(part, texels[rows], spec, lowest + 1, goal, some_located(located, rows))
         light.put(rows, part)
-        waiting[rows] = next_samples(part, spec, target, enough)
+        waiting[rows] = next_samples(part, spec, goal)
 
 
 def cost_of(samples: np.ndarray, before: np.ndarray, seconds: float) -> Cost:
@@ -683,26 +678,25 @@ def cost_of(samples: np.ndarray, before: np.ndarray, seconds: float) -> Cost:
 
 
 def results_of(light: Light, spec: BakeSpec, tasks: Sequence[BakeTask]) -> list[BakeResult]:
-    """Return the results of tasks of one target: how many texels of each are not final, how urgent
+    """Return the results of tasks of one goal: how many texels of each are not final, how urgent
     more light is, and the samples that it will take.
 
     The rows of ``light`` are the texels of one task after the other. The cost is filled in later.
     """
-    target = tasks[0].target
-    enough = tasks[0].enough
+    goal = tasks[0].goal
     count = len(tasks)
     numbers = np.repeat(np.arange(count), [len(task.offsets) for task in tasks])
     # Over the texels of each task that are not final, count them, and sum up their squared errors,
     # weighted by how much of each texel is seen, and their samples.
     error = standard_error(light, spec)
-    waiting = next_samples(light, spec, target, enough) >= 0
+    waiting = next_samples(light, spec, goal) >= 0
     visible = np.concatenate([task.footprints for task in tasks]) * error**2
     lacking, seen, taken = (
         np.bincount(numbers[waiting], weights, count)
         for weights in (None, visible[waiting], light.samples[waiting])
     )
-    # Predict the samples left: targets are relative errors, so divide by the level of luminance.
-    work = efforts(numbers, count, error / level(light, spec), light.samples, target, enough)
+    # Predict the samples left: errors of goals are relative, so divide by the level of luminance.
+    work = efforts(numbers, count, error / level(light, spec), light.samples, goal)
     # The squared error falls with a power of the number of samples, so the next sample reduces it
     # in proportion to squared error over samples.
     priorities = (seen / np.maximum(taken, 1)).tolist()

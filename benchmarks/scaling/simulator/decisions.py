@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from isogi_core.bake.noise import Effort
+from isogi_core.bake.noise import Effort, Goal
 from isogi_core.cache.costs import Cost
 from isogi_core.frame.demand import Demand
 from isogi_worker.bake_requests import Key, Viewer
@@ -22,6 +22,7 @@ VIEW = 100
 
 TEXELS = np.arange(0, 800, 10, dtype=np.int32)
 SEEN = np.ones(len(TEXELS), np.float32)
+GOAL = Goal(0.1)
 RESULT = BakeResult(40, 0.01, Effort(0, 4000.0, 9000.0), Cost(0.1, 1280, 80, 0.1))
 
 
@@ -45,13 +46,14 @@ def measure(chunks: int, clients: int, flying: int, together: bool = False) -> D
     for want in flown[:ROUNDS]:
         assert want is not None
         texels = want.offsets
-        target = want.target
-        finishes.append(seconds(partial(queue.finish, want.key, texels, target, RESULT)))
+        goal = want.goal
+        finishes.append(seconds(partial(queue.finish, want.key, texels, goal, RESULT)))
         takes.append(seconds(queue.take))
     for number in range(ROUNDS):
         shift = number + 1
         keys = [key((shift + place) % chunks) for place in range(min(VIEW, chunks))]
-        views.append(seconds(partial(queue.request, demands(keys), 0.1, Viewer(0, single=True))))
+        viewer = Viewer(0, single=True)
+        views.append(seconds(partial(queue.request, demands(keys), GOAL, viewer)))
     return Decision(*(float(np.median(each)) for each in (takes, finishes, views)))
 
 
@@ -63,7 +65,7 @@ def crowded(chunks: int, clients: int, together: bool) -> BakeQueue:
             own = range(chunks)
         else:
             own = range(client, chunks, clients)
-        queue.request(demands([key(chunk) for chunk in own]), 0.1, Viewer(client, single=True))
+        queue.request(demands([key(chunk) for chunk in own]), GOAL, Viewer(client, single=True))
     return queue
 
 

@@ -10,6 +10,7 @@ from contextlib import closing
 from typing import Any, cast
 
 from benchmarks.scaling.simulator.recording import Ladder, Recording, Sight, Step
+from isogi_core.bake.noise import Goal
 from isogi_core.frame.frame import Frame
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
@@ -53,13 +54,14 @@ def record(scene: Scene, views: int, size: int, target: float) -> Recording:
         closing(EngineWithoutWorkers([scene], store, baker=baker)) as engine,
     ):
         engine.start()
-        asked = [engine.survey(scene.id, view, target) for view in shots]
+        goal = Goal.checked(target)
+        asked = [engine.survey(scene.id, view, goal) for view in shots]
         for shot in asked:
-            baker.request(scene.id, shot.demands, target, GUEST_VIEWER)
+            baker.request(scene.id, shot.demands, Goal(target), GUEST_VIEWER)
         baker.use_pool(cast(WorkerPool, notebook))
         for view in shots:
-            bake(engine, baker, scene, view, target)
-        frame = statistics.median(seconds_of(engine, scene, view, target) for view in shots)
+            bake(engine, baker, scene, view, goal)
+        frame = statistics.median(seconds_of(engine, scene, view, goal) for view in shots)
         return recording_of(notebook, asked, frame, origin_of(scene, views, size, target))
 
 
@@ -68,20 +70,18 @@ def view_of(scene: Scene, azimuth: float, size: int) -> View:
     return View(scene.isovalue, scene.camera(azimuth, 20.0, 2.5, 30.0), width=size, height=size)
 
 
-def bake(
-    engine: EngineWithoutWorkers, baker: Baker, scene: Scene, view: View, target: float
-) -> None:
-    """Bring a view's light to the target."""
-    while demands := engine.survey(scene.id, view, target).demands:
-        baker.request(scene.id, demands, target, GUEST_VIEWER)
+def bake(engine: EngineWithoutWorkers, baker: Baker, scene: Scene, view: View, goal: Goal) -> None:
+    """Bring a view's light to the goal."""
+    while demands := engine.survey(scene.id, view, goal).demands:
+        baker.request(scene.id, demands, Goal(goal.error), GUEST_VIEWER)
         baker.wait(scene.id, [demand.index for demand in demands], LONG)
 
 
-def seconds_of(engine: EngineWithoutWorkers, scene: Scene, view: View, target: float) -> float:
+def seconds_of(engine: EngineWithoutWorkers, scene: Scene, view: View, goal: Goal) -> float:
     """Seconds that a frame takes whose surface is yet to be found."""
     engine.renderer(scene.id).forget_views()
     begun = time.perf_counter()
-    engine.survey(scene.id, view, target)
+    engine.survey(scene.id, view, goal)
     return time.perf_counter() - begun
 
 

@@ -13,8 +13,9 @@ import numpy as np
 from benchmarks.scaling.simulator.cluster import Cluster, Conditions
 from benchmarks.scaling.simulator.light import Light
 from benchmarks.scaling.simulator.recording import Recording
-from benchmarks.scaling.simulator.visitors import TARGET, Desk, Habits, Looked, Visitor
+from benchmarks.scaling.simulator.visitors import GOAL, Desk, Habits, Looked, Visitor
 from benchmarks.scaling.simulator.world import World
+from isogi_core.bake.noise import Goal
 from isogi_core.cache.costs import Costs
 from isogi_core.files.scene_file import SceneSource
 from isogi_core.frame.demand import Demand
@@ -52,12 +53,12 @@ class Timed(Baker):
         self.calls = self.seconds = 0.0
 
     def want(
-        self, scene: str, demands: Iterable[Demand], target: float, viewer: Viewer = JOB
+        self, scene: str, demands: Iterable[Demand], goal: Goal, viewer: Viewer = JOB
     ) -> frozenset[Index]:
         """As the baker does, timed."""
         begun = time.process_time()
         try:
-            return super().request(scene, demands, target, viewer)
+            return super().request(scene, demands, goal, viewer)
         finally:
             self._took(begun)
 
@@ -260,7 +261,7 @@ def batch(recording: Recording, conditions: Conditions, scenes: int, seed: int =
     place = site(recording, conditions, names, seed)
     for name in names:
         for view in range(len(recording.views)):
-            place.baker.request(name, place.light.demands(name, view), TARGET, JOB)
+            place.baker.request(name, place.light.demands(name, view), GOAL, JOB)
     place.world.run(lambda: place.baker.tally().waiting == 0)
     cluster = place.cluster
     makespan = place.world.now

@@ -6,14 +6,15 @@ from dataclasses import dataclass, field
 
 from benchmarks.scaling.simulator.light import Light
 from benchmarks.scaling.simulator.world import Pause, Pending, World
+from isogi_core.bake.noise import Goal
 from isogi_core.frame.demand import Demand
 from isogi_server.api.service import HEARTBEAT, REFINING, SHORTEST_PAUSE
 from isogi_server.api.stream import WANT_EVERY
 from isogi_worker.bake_requests import Viewer
 from isogi_worker.baker import Baker
 
-TARGET = 0.05
-"""The target error of the recordings."""
+GOAL = Goal(0.05)
+"""The goal of the recordings."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +125,7 @@ class Visitor:
         """Look at a view: what it lacks, and what of that is coming."""
         demands = self._light.demands(self.scene, view % self._views)
         return demands, Pending(
-            self.scene, self._baker.request(self.scene, demands, TARGET, self._viewer)
+            self.scene, self._baker.request(self.scene, demands, GOAL, self._viewer)
         )
 
     def _rest(self, view: int) -> Iterator[Pause]:

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from isogi_core.bake.bake_spec import BakeSpec
+from isogi_core.bake.noise import Goal
 from isogi_core.cache.page_pool import PagePool
 from isogi_core.frame.card.block_format import CODED, FOLDED, RAW, pack
 from isogi_core.frame.card.chunk_texels import ChunkTexels, hold_texels, with_neighbours
@@ -33,28 +34,26 @@ LEAST_SCATTER = 2.0**-20
 
 
 def known_light(
-    renderer: Renderer, view: View, chunks: Sequence[Index], target: float, tiles: Tiles
+    renderer: Renderer, view: View, chunks: Sequence[Index], goal: Goal, tiles: Tiles
 ) -> Packed:
     """Return ``fold_chunks`` of ``chunks``, each folded once for all that ask for it. Raises
     its errors.
     """
-    kind = FOLDED, view.light, view.albedo, target
+    kind = FOLDED, view.light, view.albedo, goal
     return known(
-        renderer, kind, chunks, lambda some: fold_chunks(renderer, view, some, target, tiles), tiles
+        renderer, kind, chunks, lambda some: fold_chunks(renderer, view, some, goal, tiles), tiles
     )
 
 
-def known_transfer(
-    renderer: Renderer, chunks: Sequence[Index], target: float, tiles: Tiles
-) -> Packed:
+def known_transfer(renderer: Renderer, chunks: Sequence[Index], goal: Goal, tiles: Tiles) -> Packed:
     """Return ``transfer_chunks`` of ``chunks``, each packed once for all that ask for it.
     Raises its errors.
     """
     return known(
         renderer,
-        (RAW, target),
+        (RAW, goal),
         chunks,
-        lambda some: transfer_chunks(renderer, some, target, tiles),
+        lambda some: transfer_chunks(renderer, some, goal, tiles),
         tiles,
     )
 
@@ -71,17 +70,17 @@ def known(
 
 
 def fold_chunks(
-    renderer: Renderer, view: View, chunks: Sequence[Index], target: float, tiles: Tiles
+    renderer: Renderer, view: View, chunks: Sequence[Index], goal: Goal, tiles: Tiles
 ) -> Packed:
     """Pack ``chunks`` with the light of their texels under the light of a ``view``, filtered if it
-    is grainy; light is final at the ``target`` error.
+    is grainy; light is final by the ``goal``.
 
     Records are those that ``carry_irradiance_ratios`` interpolates. Raises Cancelled, and the
     errors of ``Loader.ensure``.
     """
     light = RotatedLight(renderer.caches.spec("gi"), view)
     # Read the light of the texels, and filter it about their normals, as for a picture.
-    with hold_filtering(renderer, chunks, target, tiles) as (found, pool):
+    with hold_filtering(renderer, chunks, goal, tiles) as (found, pool):
         lit = light_sources(found.reading.sources(pool), light, tiles)
     about = normals_of(renderer, found.texels, tiles)
     reading = found.reading
@@ -96,14 +95,14 @@ def fold_chunks(
 
 
 def transfer_chunks(
-    renderer: Renderer, chunks: Sequence[Index], target: float, tiles: Tiles
+    renderer: Renderer, chunks: Sequence[Index], goal: Goal, tiles: Tiles
 ) -> Packed:
     """Pack ``chunks`` with the ``raw_numbers`` of their texels, from which a card makes light and
     filters it by itself.
 
     Raises the errors of ``fold_chunks``.
     """
-    found, about, numbers = read_raw(renderer, chunks, target, tiles)
+    found, about, numbers = read_raw(renderer, chunks, goal, tiles)
     return Packed(tuple(map(Block, pack(found, about, numbers, RAW), found.versions)))
 
 
@@ -126,29 +125,29 @@ def packed(
 
 
 def coded_chunks(
-    renderer: Renderer, chunks: Sequence[Index], target: float, coding: Coding, tiles: Tiles
+    renderer: Renderer, chunks: Sequence[Index], goal: Goal, coding: Coding, tiles: Tiles
 ) -> tuple[bytes, ...]:
     """Pack ``chunks`` with the ``raw_numbers`` of their texels in few bits. Raises the errors
     of ``fold_chunks``.
     """
-    found, about, numbers = read_raw(renderer, chunks, target, tiles)
+    found, about, numbers = read_raw(renderer, chunks, goal, tiles)
     return tuple(pack(found, about, coding.codes(numbers), CODED))
 
 
 def read_raw(
-    renderer: Renderer, chunks: Sequence[Index], target: float, tiles: Tiles
+    renderer: Renderer, chunks: Sequence[Index], goal: Goal, tiles: Tiles
 ) -> tuple[ChunkTexels, np.ndarray, np.ndarray]:
     """Return the texels of ``chunks``, the normals (m, 3) that they are lit about, and their
     ``raw_numbers``.
     """
-    with hold_texels(renderer.caches.of("gi"), chunks, target, tiles) as (found, pool):
+    with hold_texels(renderer.caches.of("gi"), chunks, goal, tiles) as (found, pool):
         numbers = raw_numbers(found.reading, pool)
     return found, normals_of(renderer, found.texels, tiles), numbers
 
 
 @contextmanager
 def hold_filtering(
-    renderer: Renderer, chunks: Sequence[Index], target: float, tiles: Tiles
+    renderer: Renderer, chunks: Sequence[Index], goal: Goal, tiles: Tiles
 ) -> Iterator[tuple[ChunkTexels, PagePool]]:
     """Hold ``chunks`` in the pool while the block runs. If the light of some of their texels is
     grainy, hold the texels of neighbouring chunks that the filter reads, too. Yield the texels, and
@@ -157,13 +156,13 @@ def hold_filtering(
     Raises the errors of ``fold_chunks``.
     """
     loader = renderer.caches.of("gi")
-    with hold_texels(loader, chunks, target, tiles) as held:
+    with hold_texels(loader, chunks, goal, tiles) as held:
         if not held[0].reading.grainy.any():
             yield held
             return
     # The filter reads texels of the chunks around, too.
     more = with_neighbours(chunks, renderer.prepared)
-    with hold_texels(loader, more, target, tiles, filtered=chunks) as held:
+    with hold_texels(loader, more, goal, tiles, filtered=chunks) as held:
         yield held
 
 

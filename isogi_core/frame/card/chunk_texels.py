@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 
 from isogi_core.bake.noise import Goal
-from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache.page_pool import PagePool
 from isogi_core.cache.scene_caches import Loader
 from isogi_core.frame.gbuffer import GBuffer
@@ -50,12 +49,12 @@ class Occupied(NamedTuple):
 def hold_texels(
     loader: Loader,
     chunks: Sequence[Index],
-    target: float,
+    goal: Goal,
     tiles: Tiles,
     filtered: Sequence[Index] = (),
 ) -> Iterator[tuple[ChunkTexels, PagePool]]:
-    """Hold ``chunks`` in the pool while the block runs; yield their texels, final at the ``target``
-    error, and the pool.
+    """Hold ``chunks`` in the pool while the block runs; yield their texels, final by the ``goal``,
+    and the pool.
 
     If only some chunks are ``filtered``, the others are neighbours whose texels the filter reads:
     of these, only the texels within its reach are taken. Raises the errors of ``Loader.ensure``.
@@ -78,7 +77,7 @@ def hold_texels(
                 tuple(chunks),
                 versions,
                 texels,
-                read_texels(texels, occupied.slots, pool, Goal(target, FIRST_LEVEL), tiles),
+                read_texels(texels, occupied.slots, pool, goal, tiles),
             ),
             pool,
         )

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from isogi_core.bake.noise import Goal
-from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.frame.card.blocks import normals_of, raw_numbers, raw_scale
 from isogi_core.frame.card.coding import Coding
 from isogi_core.frame.gbuffer import GBuffer
@@ -41,11 +40,11 @@ CONTROLS = 256
 """Number of control pixels of a picture."""
 
 
-def draw_coded(renderer: Renderer, view: View, coding: Coding, target: float) -> Framebuffer:
+def draw_coded(renderer: Renderer, view: View, coding: Coding, goal: Goal) -> Framebuffer:
     """Draw the picture of a ``view`` as a card does from all texels' transfer in few bits, with
     lobes as at rest.
 
-    Light is final at a ``target`` error. Raises the errors of ``Loader.ensure``.
+    Light is final by the ``goal``. Raises the errors of ``Loader.ensure``.
     """
     tiles = renderer.tiles
     loader = renderer.caches.of("gi")
@@ -56,7 +55,7 @@ def draw_coded(renderer: Renderer, view: View, coding: Coding, target: float) ->
     loader.ensure(texels.chunks, tiles.check)
     # Read the numbers that a page would get.
     with loader.pool.hold(texels.chunks) as held:
-        reading = read_texels(texels, held.slots, loader.pool, Goal(target, FIRST_LEVEL), tiles)
+        reading = read_texels(texels, held.slots, loader.pool, goal, tiles)
         numbers = raw_numbers(reading, loader.pool)
     about = normals_of(renderer, texels, tiles)
     # Encode and decode them, and go on as a card does: light, filter, interpolation, lobes,
@@ -110,16 +109,16 @@ class ControlPictures:
         self,
         renderer: Renderer,
         views: Iterable[View],
-        target: float,
+        goal: Goal,
         report: Callable[[int], None] = lambda _: None,
     ) -> None:
-        """Trace paths for pictures of about a ``target`` error.
+        """Trace paths for pictures of about the error of a ``goal``.
 
         ``report`` is called with the number of views that are done, here and whenever they are
         measured.
         """
         self._renderer = renderer
-        self._target = target
+        self._goal = goal
         self._report = report
         self._controls = []
         for number, view in enumerate(views):
@@ -140,7 +139,7 @@ class ControlPictures:
         # Without uncertainty controls are drawn evenly, so that each has the weight 1.
         places = draw_places(gbuffer, np.zeros(points), (number, 0), CONTROLS)
         halves = trace_controls(
-            light, gbuffer, places, (0, paths_for(self._target)), number, renderer.tiles
+            light, gbuffer, places, (0, paths_for(self._goal.error)), number, renderer.tiles
         )
         return Control(view, gbuffer, ControlPixels(places, np.ones(len(places)), halves))
 
@@ -160,7 +159,7 @@ class ControlPictures:
         """Return the squared errors of a picture's control pixels, relative to the square of its
         mean light, so that those of several pictures can be averaged; (k,).
         """
-        framebuffer = draw_coded(self._renderer, control.view, coding, self._target)
+        framebuffer = draw_coded(self._renderer, control.view, coding, self._goal)
         picture = framebuffer.radiance[control.gbuffer.pixels] @ LUMINANCE_WEIGHTS
         shown = picture[control.pixels.places]
         mean = control.pixels.mean(shown, float(picture.mean()))

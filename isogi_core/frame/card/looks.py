@@ -6,7 +6,6 @@ from typing import NamedTuple
 import numpy as np
 
 from isogi_core.bake.noise import Goal
-from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache.scene_caches import Loader
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer, undrawn_frame
@@ -51,26 +50,22 @@ class Look:
         return loader.pool.versions(chunks) == tuple(each.version for each in self.seen)
 
 
-def seen_chunks(
-    renderer: Renderer, view: View, target: float, tiles: Tiles
-) -> tuple[SeenChunk, ...]:
+def seen_chunks(renderer: Renderer, view: View, goal: Goal, tiles: Tiles) -> tuple[SeenChunk, ...]:
     """Return the chunks that a ``view`` reads, those of most pixels first. Raises the errors of
     ``fold_chunks``.
     """
-    return look_at(renderer, view, target, tiles).seen
+    return look_at(renderer, view, goal, tiles).seen
 
 
-def look_at(renderer: Renderer, view: View, target: float, tiles: Tiles) -> Look:
-    """Return the look of a ``view``; looks at final light are kept for all that ask. Raises the
-    errors of ``fold_chunks``.
+def look_at(renderer: Renderer, view: View, goal: Goal, tiles: Tiles) -> Look:
+    """Return the look of a ``view`` whose picture has a ``goal``; looks at final light are kept for
+    all that ask. Raises the errors of ``fold_chunks``.
     """
     # Light counts as final once it has the samples that a check of the picture asks for.
-    check = renderer.checks.held(view, target)
+    check = renderer.checks.held(view, goal)
     loader = renderer.caches.of("gi")
     if check:
-        goal = Goal(target, check.known.enough)
-    else:
-        goal = Goal(target, FIRST_LEVEL)
+        goal = check.known.goal
     # A kept look is used until one of its chunks has been baked on.
     known: Look | None = renderer.looks.held((view, goal))
     if known is not None and known.is_current(loader, tiles):

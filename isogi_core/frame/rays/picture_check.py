@@ -109,7 +109,7 @@ class PictureCheck:
         return (
             shown is not None
             and shown.controls is self.known.controls
-            and shown.enough == self.known.enough
+            and shown.goal == self.known.goal
         )
 
     def advance(self, frame: Frame, uncertainty: np.ndarray, tiles: Tiles, prices: Prices) -> bool:
@@ -139,7 +139,7 @@ class PictureCheck:
             return self._begin_rung(frame, uncertainty, tiles)
         # Once pixels have light of their own, texels climb no more: it would be traced in vain.
         if not self.known.attempt:
-            climbs = climbs_of(frame, self._rung(frame), self.known.target)
+            climbs = climbs_of(frame, self._rung(frame), self.known.goal.error)
         else:
             climbs = [0.0]
         # While the interval holds the target, draw more controls, unless a rung decides for less.
@@ -184,13 +184,13 @@ class PictureCheck:
         interval lies above the target, or as many controls are drawn as may be.
         """
         most = self._most_controls(measured)
-        return measured.low > self.known.target or measured.controls >= most
+        return measured.low > self.known.goal.error or measured.controls >= most
 
     def _most_controls(self, measured: TotalError) -> int:
         """Return the most controls that are worth their paths: more for a picture that seems to be
         at its target, as they are all that is left to show it.
         """
-        if measured.likely <= self.known.target:
+        if measured.likely <= self.known.goal.error:
             return MAX_CONTROLS
         return CONTROLS_IF_MISSED
 
@@ -200,7 +200,7 @@ class PictureCheck:
         """
         error = measured.likely * frame.true_mean
         return (
-            measured.likely <= self.known.target
+            measured.likely <= self.known.goal.error
             and self.known.paths < LAST_PATHS
             and self.known.controls.noise > error**2
         )
@@ -222,7 +222,7 @@ class PictureCheck:
         """
         more = 2.0 * self.known.paths * measured.controls
         gained = (1.0 - QUIETER) * noise_of_climbers(frame)
-        quiet = measured.high**2 - gained * frame.noise**2 <= self.known.target**2
+        quiet = measured.high**2 - gained * frame.noise**2 <= self.known.goal.error**2
         return quiet and len(climbs) > 1 and more > climbs[1]
 
     def _begin_rung(self, frame: Frame, uncertainty: np.ndarray, tiles: Tiles) -> bool:
@@ -237,8 +237,8 @@ class PictureCheck:
             paths = EARLY_PATHS
             drawn = 0
         else:
-            paths = paths_for(max(known.target, frame.noise))
-            drawn = known.enough
+            paths = paths_for(max(known.goal.error, frame.noise))
+            drawn = known.goal.samples
         first = self._draw(frame.gbuffer, uncertainty, (0, FIRST_CONTROLS), paths, tiles)
         self.known = replace(
             known, uncertainty=uncertainty, controls=first, drawn=drawn, paths=paths
@@ -254,7 +254,7 @@ class PictureCheck:
         known = self.known
         before = len(self.known.controls.places)
         # Predict the number that decides, within the most that are worth their paths.
-        decisive = controls_to(measured, measured.likely, known.target)
+        decisive = controls_to(measured, measured.likely, known.goal.error)
         wanted = min(decisive, self._most_controls(measured))
         count = int(np.clip(wanted - before, before, 3 * before))
         more = self._draw(frame.gbuffer, uncertainty, (before, count), known.paths, tiles)
@@ -294,7 +294,8 @@ class PictureCheck:
         """Have texels double their samples once for each of the ``rungs``; they are baked when
         asked for.
         """
-        self.known = replace(self.known, enough=next_level(self._rung(frame)) << (rungs - 1))
+        rung = next_level(self._rung(frame)) << (rungs - 1)
+        self.known = replace(self.known, goal=self.known.goal._replace(samples=rung))
         return True
 
     def _cheapest(
@@ -340,7 +341,7 @@ class PictureCheck:
         plans = by_rungs(pixels, errors, falling, climbs, chunks)
         if texels and not (known.attempt or self.declined):
             plans += by_finer(
-                pixels, errors, noise, texels, chunks, self._rung(frame), known.target
+                pixels, errors, noise, texels, chunks, self._rung(frame), known.goal.error
             )
         return min(plans, key=lambda plan: plan.cost(prices))
 
@@ -366,7 +367,7 @@ class PictureCheck:
         """Return the relative error that the next attempt aims at: below the target, lower with
         each attempt, and not far below the ``measured`` error.
         """
-        target = self.known.target
+        target = self.known.goal.error
         return min(
             AIM * STRICTER**self.known.attempt * target,
             max(STRICTER * measured.likely, DOUBTFUL * target),
@@ -376,22 +377,22 @@ class PictureCheck:
         """Return the number of paths of all controls that show a picture with a ``likely``
         error to be at its target.
         """
-        return 2.0 * self.known.paths * controls_to(measured, likely, self.known.target)
+        return 2.0 * self.known.paths * controls_to(measured, likely, self.known.goal.error)
 
     def _rung(self, frame: Frame) -> int:
-        """Return the present rung, from which texels of the ``frame`` climb: ``enough``, or the
-        fewest samples of any texel if other views have lit all of them further.
+        """Return the present rung, from which texels of the ``frame`` climb: the samples of the
+        goal, or the fewest samples of any texel if other views have lit all of them further.
 
         Texels with little noise stay behind on lower rungs, so the fewest samples alone may be too
         low. Texels without samples, such as those inside matter, do not count.
         """
         if frame.quality.lacking is None:
-            return self.known.enough
+            return self.known.goal.samples
         samples = frame.quality.lacking.reading.samples
         lit = samples[samples > 0]
         if not len(lit):
-            return self.known.enough
-        return max(self.known.enough, int(lit.min()))
+            return self.known.goal.samples
+        return max(self.known.goal.samples, int(lit.min()))
 
     def _grow(self, growth: Growth, gbuffer: GBuffer, tiles: Tiles) -> bool:
         """Trace further paths from the points of a ``growth``; return False if they have all that
@@ -416,11 +417,7 @@ class PictureCheck:
         if count == MOST_PATHS or self.growing.enough:
             known = self.known
             self.known = PictureState(
-                known.target,
-                own=light,
-                carried=known.carried,
-                attempt=known.attempt + 1,
-                enough=known.enough,
+                known.goal, own=light, carried=known.carried, attempt=known.attempt + 1
             )
             self.growing = None
         return True
@@ -446,4 +443,4 @@ class PictureCheck:
         """
         known = self.known
         own = known.own.without(known.carried, self.light, gbuffer, tiles)
-        self.known = PictureState(known.target, own=own, attempt=known.attempt, enough=known.enough)
+        self.known = PictureState(known.goal, own=own, attempt=known.attempt)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from isogi_core.bake.texel_light import FIRST_LEVEL
+from isogi_core.bake.noise import Goal
 from isogi_core.frame.rays.control_pixels import ControlPixels
 from isogi_core.frame.rays.own_light import PixelLight
 
@@ -15,26 +15,25 @@ class PictureState:
     """All that the check of a picture knows besides the light of its texels. Each step of the check
     replaces the record as a whole, so that another thread reads the values of one step.
 
-    - ``target``: relative error that the picture is to reach.
+    - ``goal``: relative error that the picture is to reach, and samples that texels are to have,
+      the present rung.
     - ``controls``: control pixels of the present attempt.
     - ``uncertainty`` (m,): uncertain luminance of each surface point; controls were drawn by it.
     - ``own``: light that pixels have from paths of their own.
     - ``carried`` (k,): rows of the surface points whose light was carried over from other views.
     - ``attempt``: number of times that pixels have got light of their own; each has new controls.
     - ``ended``: True if the last step found nothing to do.
-    - ``enough``: samples that texels are to have, the present rung.
-    - ``drawn``: value of ``enough`` when the controls were drawn.
+    - ``drawn``: the rung on which the controls were drawn.
     - ``paths``: number of paths in each half of a control.
     """
 
-    target: float
+    goal: Goal
     controls: ControlPixels = field(default_factory=ControlPixels.none)
     uncertainty: np.ndarray = field(default_factory=lambda: np.empty(0))
     own: PixelLight = field(default_factory=PixelLight.none)
     carried: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))
     attempt: int = 0
     ended: bool = False
-    enough: int = FIRST_LEVEL
     drawn: int = 0
     paths: int = 0
 
@@ -48,7 +47,7 @@ class PictureState:
     @property
     def outdated(self) -> bool:
         """True if the controls were drawn on a lower rung than the present one."""
-        return self.drawn < self.enough
+        return self.drawn < self.goal.samples
 
     @property
     def version(self) -> bytes:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from isogi_core.bake.texel_light import FIRST_LEVEL
+from isogi_core.bake.noise import Goal
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer, surface_key
 from isogi_core.frame.lighting import RotatedLight
@@ -260,8 +260,8 @@ class ViewShine(Refinement[ShineLight]):
         hits = rays.hits
         # The ends are a picture of one row: shade it as any other, from texels, lobes, colours and
         # walls. Its texels are final once those of the view are.
-        check = self.checks.held(shot.view, shot.goal.error)
-        first = shot.goal._replace(samples=FIRST_LEVEL)
+        check = self.checks.held(shot.view, shot.goal)
+        first = Goal.checked(shot.goal.error)
         goal = goal_of_texels(first, shot.view, check.known if check else None)
         seen = RotatedLight(shot.light.spec, rays.view(shot.view))
         row = Shot(hits, seen, goal, shot.tiles)

@@ -18,6 +18,7 @@ from datetime import datetime
 from itertools import count
 from typing import TypeVar
 
+from isogi_core.bake.noise import Goal
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.errors import Cancelled, StoreError
 from isogi_core.frame.frame import Frame
@@ -40,6 +41,7 @@ from isogi_server.prewarm.record import (
 from isogi_server.prewarm.work import carry_out, carry_out_dry, wanted
 from isogi_server.render.bakes import BACKGROUND_VIEWER
 from isogi_server.render.jobs import Job, Result
+from isogi_server.views import goal_of
 from isogi_worker.bake_requests import Viewer
 from isogi_worker.errors import WorkersError
 from isogi_worker.progress import TimeLeft
@@ -146,12 +148,12 @@ class Prewarm:
             loop.call_soon_threadsafe(tell, step.share, str(step), step.left)
 
         def frame_of(view: View) -> Frame:
-            return self._frame_of(loop, PictureRequest(self.scene.id, view, target))
+            return self._frame_of(loop, PictureRequest(self.scene.id, view, goal))
 
         def refine(view: View, prices: Prices, over: threading.Event) -> bool:
-            return self._refine(view, target, prices, over)
+            return self._refine(view, goal, prices, over)
 
-        target = self.order.target_error or self.scene.target_error
+        goal = goal_of(self.scene, self.order.target_error)
         # The deadline of an order is a time from its beginning. That of a resumed order is shorter
         # by the time that it took before: see ``RecordDocument.rest``.
         if self.order.deadline is None:
@@ -164,7 +166,7 @@ class Prewarm:
         place = (
             self.service.engine,
             self.scene,
-            target,
+            goal,
             viewer,
             frame_of,
             refine,
@@ -206,13 +208,13 @@ class Prewarm:
                 self.cancelled.wait(RETRY_SECONDS)
                 context.check()
 
-    def _refine(self, view: View, target: float, prices: Prices, over: threading.Event) -> bool:
+    def _refine(self, view: View, goal: Goal, prices: Prices, over: threading.Event) -> bool:
         """Take one step of a picture's check; then idle as long as it took if clients wait for
         frames or have streams open, so that they get half of the processors' time. Raises Cancelled
         if ``over`` is set.
         """
         begun = time.monotonic()
-        more = self.service.engine.check(self.scene.id, view, target, self.cancelled, prices, over)
+        more = self.service.engine.check(self.scene.id, view, goal, self.cancelled, prices, over)
         if self.service.attended:
             self.cancelled.wait(time.monotonic() - begun)
         return more

@@ -18,6 +18,7 @@ from fastapi import Depends, Request
 from fastapi.requests import HTTPConnection
 
 from isogi_core.bake.bake_spec import SPECS
+from isogi_core.bake.noise import Goal
 from isogi_core.errors import IsogiError, NoRoomError, StoreError
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.tiles import Stopwatch
@@ -51,7 +52,7 @@ from isogi_server.render.variants import Variants
 from isogi_server.render.viewers import request_viewer, run_while_connected
 from isogi_server.settings import Settings
 from isogi_server.uploads.uploads import Uploads
-from isogi_server.views import Turnable, turn_asked, view_of
+from isogi_server.views import Turnable, goal_of, turn_asked, view_of
 from isogi_worker.bake_requests import Viewer
 from isogi_worker.progress import TimeLeft
 
@@ -219,7 +220,7 @@ class Service:
         """
         view = view_of(scene, params, self.settings)
         self.startup.check()
-        return PictureRequest(scene.id, view, params.max_error or scene.target_error)
+        return PictureRequest(scene.id, view, goal_of(scene, params.max_error))
 
     async def render(
         self,
@@ -306,12 +307,12 @@ class Service:
         """
         if not viewer.bakes:
             return frozenset()
-        want = partial(self.engine.want, picture.scene, frame, picture.target, viewer)
+        want = partial(self.engine.want, picture.scene, frame, picture.goal, viewer)
         return await self.threads.asking.run(want, Rank.within(DRAFT))
 
     async def _time_left(self, picture: PictureRequest, frame: Frame) -> TimeLeft | None:
         """Estimate the time until all light that a frame lacks is baked."""
-        left = partial(self.engine.time_left, picture.scene, frame, picture.target)
+        left = partial(self.engine.time_left, picture.scene, frame, picture.goal)
         return await self.threads.asking.run(left, Rank.within(DRAFT))
 
     async def frame(self, picture: PictureRequest, rank: Rank, watch: Stopwatch) -> Frame:
@@ -332,9 +333,7 @@ class Service:
             await self.startup.others(picture.view.shading, self.settings.patience.queue_seconds)
 
         def work(cancelled: threading.Event) -> Frame:
-            frame = self.engine.survey(
-                picture.scene, picture.view, picture.target, cancelled, watch
-            )
+            frame = self.engine.survey(picture.scene, picture.view, picture.goal, cancelled, watch)
             # Compute the tail now: it takes up to 35 ms, too long for the event loop.
             frame.tail  # noqa: B018
             return frame
@@ -418,9 +417,7 @@ class Service:
 
         def work(cancelled: threading.Event) -> Frame | None:
             with suppress(NoRoomError):
-                return self.engine.unlit_frame(
-                    picture.scene, picture.view, picture.target, cancelled
-                )
+                return self.engine.unlit_frame(picture.scene, picture.view, picture.goal, cancelled)
             return None
 
         # Share the work among clients that open the same view.
@@ -445,7 +442,7 @@ class Service:
         """
 
         def work(cancelled: threading.Event) -> bool:
-            return self.engine.check(picture.scene, picture.view, picture.target, cancelled)
+            return self.engine.check(picture.scene, picture.view, picture.goal, cancelled)
 
         await self.threads.checks.share(picture, work, Rank.within(DRAFT))
 
@@ -663,13 +660,11 @@ ONCE = ("queue", "primary", "texels", "normals", "lobes")
 
 @dataclass(frozen=True)
 class PictureRequest:
-    """A picture: a ``view`` of a scene, by its id, with the relative error ``target`` that it
-    is to reach.
-    """
+    """A picture: a ``view`` of a scene, by its id, and the ``goal`` that it is to reach."""
 
     scene: str
     view: View
-    target: float
+    goal: Goal
 
     def draft(self, scale: float) -> Self:
         """Return the request for a draft of this view while it moves, with ``scale`` times the

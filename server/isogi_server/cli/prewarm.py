@@ -32,6 +32,7 @@ from isogi_server.render.patience import STALLED_SECONDS
 from isogi_server.render.stores import root_of
 from isogi_server.settings import Settings
 from isogi_server.values import document_in
+from isogi_server.views import goal_of
 from isogi_worker.bake_requests import Viewer
 from isogi_worker.progress import TimeLeft
 
@@ -179,7 +180,7 @@ def context_of(
     begun: float,
 ) -> PrewarmContext:
     """Return the context of a prewarm by this command, whose time began at ``begun``."""
-    target = order.target_error or scene.target_error
+    goal = goal_of(scene, order.target_error)
     if order.deadline is None:
         deadline = math.inf
     else:
@@ -188,10 +189,10 @@ def context_of(
     return PrewarmContext(
         engine,
         scene,
-        target,
+        goal,
         COMMAND,
-        lambda view: engine.survey(scene.id, view, target),
-        lambda view, prices, over: engine.check(scene.id, view, target, prices=prices, over=over),
+        lambda view: engine.survey(scene.id, view, goal),
+        lambda view, prices, over: engine.check(scene.id, view, goal, prices=prices, over=over),
         report,
         deadline,
         STALLED_SECONDS,

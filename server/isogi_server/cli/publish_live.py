@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
+from isogi_core.bake.noise import Goal
 from isogi_core.errors import ViewError
 from isogi_core.files.scene_file import LEAST_TARGET, Target, find_source
 from isogi_core.files.scene_file import Settings as SceneSettings
@@ -68,14 +69,14 @@ PAGE_BACKGROUNDS = ("light", "dark")
 @dataclass(frozen=True, eq=False)
 class PagePlan:
     """The page that is to be made: the ``request``, the parameters and the view that it starts
-    with, its isovalues, and the ``goal``, a relative error.
+    with, its isovalues, and the relative ``error`` that its pictures are to reach.
     """
 
     request: PageRequest
     params: FrameParams
     view: View
     span: Span
-    goal: float
+    error: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,8 +111,9 @@ def publish(
             "--time and --deadline are for pictures: leave them out with --interactive."
         )
     check_output(request.output)
-    goal = request.target_error or SceneSettings(find_source(target, {})).target_error
-    scene = open_scene(target, settings, target_error=max(LIGHT_TARGET_SHARE * goal, LEAST_TARGET))
+    error = request.target_error or SceneSettings(find_source(target, {})).target_error
+    light_error = max(LIGHT_TARGET_SHARE * error, LEAST_TARGET)
+    scene = open_scene(target, settings, target_error=light_error)
     span, params = first_view_of(scene, knobs)
     view = view_of(scene, params, settings)
     if request.one_file:
@@ -122,9 +124,9 @@ def publish(
         refuse_obstacles(context.renderer, view)
         # Take the page with the most exact light that fits the size.
         version = first_fitting(
-            page_versions(context, PagePlan(request, params, view, span, goal), settings),
+            page_versions(context, PagePlan(request, params, view, span, error), settings),
             request.megabytes,
-            goal,
+            error,
         )
     if request.one_file:
         write_whole(request.output, version.files[PAGE])
@@ -197,28 +199,27 @@ def prewarming(scene: Scene, settings: Settings, begun: float) -> Iterator[Prewa
 def page_versions(
     context: PrewarmContext, planned: PagePlan, settings: Settings
 ) -> Iterator[PageVersion]:
-    """Bake the light until the error of pictures is at the goal; yield the page with ever fewer
+    """Bake the light until pictures have the error that is planned; yield the page with ever fewer
     bits for its light.
     """
     renderer = context.renderer
-    target = context.target
     span = planned.span
     views = [
         replace(each, albedo=planned.view.albedo)
         for each in views_of(context, span.low, span.high, settings)
     ]
-    codings = [coding_at(renderer, share * planned.goal) for share in ROUNDING_SHARES]
+    codings = [coding_at(renderer, share * planned.error) for share in ROUNDING_SHARES]
     # Measure the pictures with the first, finest coding.
-    baked = bake_range(context, (span.low, span.high), codings[0], views, planned.goal)
+    baked = bake_range(context, (span.low, span.high), codings[0], views, planned.error)
     volume = {**volume_files(renderer, span), **colour_files(renderer, span)}
     document = document_of(renderer, planned.params, planned.view, span)
     first = first_view(renderer, planned.params, document["scene"]["start"], settings)
-    poster = poster_of(renderer, planned.params, first, target)
+    poster = poster_of(renderer, planned.params, first, Goal(context.goal.error))
     for coding in codings:
         # Coarser codings need no new light, only other files.
-        light = light_files(renderer, span, coding, target, first)
+        light = light_files(renderer, span, coding, context.goal, first)
         facts = page_facts(renderer.prepared.scene, span, baked, baked.pictures.measure(coding))
-        facts["target_error"] = planned.goal
+        facts["target_error"] = planned.error
         known = {
             "files": list(light),
             "steps": coding.steps.tolist(),

@@ -35,7 +35,7 @@ from isogi_server.render.engine import RenderEngine
 from isogi_server.render.scene_variant import Change, SceneVariant
 from isogi_server.render.variants import Variants
 from isogi_server.settings import Settings
-from isogi_server.views import turn_baked, view_of
+from isogi_server.views import goal_of, turn_baked, view_of
 from isogi_worker.progress import ASSUMED_WORK_RATIOS, TimeLeft
 
 RECORD_WRITE_SECONDS = 1.0
@@ -151,10 +151,10 @@ class Reel:
         and the largest error, and the reason why no more light came, if there is one.
         """
         errors = [facts["error"] for facts in self.facts.values()]
-        target = next(iter(self.shots.values())).max_error or self._scene.target_error
+        goal = goal_of(self._scene, next(iter(self.shots.values())).max_error)
         final = sum(facts["final"] for facts in self.facts.values()) / len(self.shots)
         worst = {"median": float(np.median(errors)), "worst": max(errors)}
-        return {"final": final, "target_error": target, "error": worst, "trouble": self.trouble}
+        return {"final": final, "target_error": goal.error, "error": worst, "trouble": self.trouble}
 
     @property
     def about(self) -> dict[str, Any]:
@@ -208,7 +208,7 @@ class Reel:
             # Draw the picture with its share of the time.
             later = time_of_others(spent, len(missing) - done - 1)
             show = partial(self._show, engine, scene, shot, bar, (done, len(missing)), later)
-            frame = awaited(engine, scene.id, view, shot.max_error, seconds, show)
+            frame = awaited(engine, scene.id, view, goal_of(scene, shot.max_error), seconds, show)
             if shot.exposure is None:
                 exposure = self._scene.default_exposure
             else:
@@ -231,7 +231,7 @@ class Reel:
         """Draw on the bar the number of pictures done, and the time for this picture and the
         ``later`` ones.
         """
-        this_one = engine.time_left(scene.id, frame, shot.max_error)
+        this_one = engine.time_left(scene.id, frame, goal_of(scene, shot.max_error))
         if this_one and later:
             bar.show(*counts, this_one.plus(later))
         elif this_one and not frame.final:

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from tqdm import tqdm
 
+from isogi_core.bake.noise import Goal
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import Cancelled, ViewError
 from isogi_core.files.scene_file import Target
@@ -46,6 +47,7 @@ from isogi_server.render.patience import Patience, time_limit
 from isogi_server.settings import Settings
 from isogi_server.views import (
     PLACING,
+    goal_of,
     in_turned_light,
     isovalue_of,
     unturned,
@@ -139,11 +141,12 @@ def draw(
     if not is_placed(knobs):
         [params] = seen_whole(engine.renderer(scene.id), [params], settings)
     view = view_of(scene, params, settings)
-    frame = draw_refined(engine, scene.id, view, params.max_error, seconds)
-    left = engine.time_left(scene.id, frame, params.max_error)
+    goal = goal_of(scene, params.max_error)
+    frame = draw_refined(engine, scene.id, view, goal, seconds)
+    left = engine.time_left(scene.id, frame, goal)
     facts = {
         **frame_facts(frame, left),
-        "target_error": params.max_error or scene.target_error,
+        "target_error": goal.error,
         "final": frame.coverage["final"],
         "paths": engine.baker.paths,
         "stopped": stopped_by(frame),
@@ -307,7 +310,7 @@ def stand_of(scene: Scene, shot: FrameParams, settings: Settings) -> Stand:
 
 
 def draw_refined(
-    engine: RenderEngine, scene: str, view: View, max_error: float | None, seconds: float | None
+    engine: RenderEngine, scene: str, view: View, goal: Goal, seconds: float | None
 ) -> Frame:
     """Bake and draw as ``awaited`` does, with a bar that shows the time left and never runs
     back.
@@ -319,7 +322,7 @@ def draw_refined(
 
         def show(frame: Frame) -> None:
             nonlocal shown
-            left = engine.time_left(scene, frame, max_error)
+            left = engine.time_left(scene, frame, goal)
             # Progress is the share of time that has passed; it never decreases.
             passed = time.monotonic() - begun
             if frame.final:
@@ -331,19 +334,19 @@ def draw_refined(
             shown = max(shown, done)
             bar.show(int(100 * shown), 100, left)
 
-        return awaited(engine, scene, view, max_error, seconds, show)
+        return awaited(engine, scene, view, goal, seconds, show)
 
 
 def awaited(
     engine: RenderEngine,
     scene: str,
     view: View,
-    max_error: float | None,
+    goal: Goal,
     seconds: float | None,
     show: Callable[[Frame], object] = lambda _: None,
 ) -> Frame:
-    """Return the frame once it is final, or the time is over; call ``show`` with each frame on the
-    way.
+    """Return the frame once it reaches its ``goal``, or the time is over; call ``show`` with each
+    frame on the way.
 
     A path-traced frame is as good as its samples, and is returned at once. Raises WorkersError if
     the workers fail, or if nothing has changed for as long as ``Patience`` allows.
@@ -362,7 +365,7 @@ def awaited(
                 frame = engine.frame(
                     scene,
                     view,
-                    max_error=max_error,
+                    goal=goal,
                     wait=min(FRAME_SECONDS, left) if frame or math.isinf(deadline) else 0.0,
                     cancelled=over if frame else None,
                 )

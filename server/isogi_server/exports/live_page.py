@@ -11,12 +11,12 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from isogi_core.bake.noise import Goal
 from isogi_core.frame.card.blocks import CHUNKS, coded_chunks
 from isogi_core.frame.card.coding import Coding
 from isogi_core.frame.card.colour_codes import ColourCodes
 from isogi_core.frame.card.looks import seen_chunks
 from isogi_core.frame.renderer import Renderer
-from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.model.view import View
 from isogi_core.plan.reachable_texels import surface_texels
 from isogi_core.prepared.active_cell_maps import IdleVoxels
@@ -119,25 +119,25 @@ def slab_name(first: int, last: int, folder: str = "volume") -> str:
 
 
 def light_files(
-    renderer: Renderer, span: Span, coding: Coding, target: float, first: View
+    renderer: Renderer, span: Span, coding: Coding, goal: Goal, first: View
 ) -> dict[str, bytes]:
     """Return the transfer of all texels that isosurfaces in the ``span`` read, coded in few bits.
 
     Texels of the ``first`` view come in the first files. Transfer is filtered if its noise exceeds
-    the ``target`` error. Raises StoreError and Cancelled.
+    the error of the ``goal``. Raises StoreError and Cancelled.
     """
     prepared = renderer.prepared
     volume = renderer.prepared.scene.volume
     ends = volume.normalise_span(span.low, span.high)
     texels = surface_texels(volume.voxels, prepared.shape, prepared.lattice.chunk, [ends])
     # Order chunks by their visibility in the first view, so that the page is lit soon.
-    seen = [each.at for each in seen_chunks(renderer, first, target, renderer.tiles)]
+    seen = [each.at for each in seen_chunks(renderer, first, goal, renderer.tiles)]
     places = {at: place for place, at in enumerate(seen)}
     chunks = sorted((index for index, _ in texels), key=lambda at: places.get(at, len(seen)))
     files = {}
     for number, start in enumerate(range(0, len(chunks), CHUNKS)):
         blocks = coded_chunks(
-            renderer, chunks[start : start + CHUNKS], target, coding, renderer.tiles
+            renderer, chunks[start : start + CHUNKS], goal, coding, renderer.tiles
         )
         files[f"light/{number}.bin"] = compressed(b"".join(blocks))
     return files
@@ -153,11 +153,11 @@ def first_view(
     return view_of(renderer.prepared.scene, params.model_copy(update={**camera, **size}), settings)
 
 
-def poster_of(renderer: Renderer, params: FrameParams, view: View, target: float) -> bytes:
-    """Return a WebP picture of the first ``view`` with a transparent background, by the light
-    that the page has. Raises StoreError and Cancelled.
+def poster_of(renderer: Renderer, params: FrameParams, view: View, goal: Goal) -> bytes:
+    """Return a WebP picture of the first ``view`` with a transparent background and this ``goal``,
+    by the light that the page has. Raises StoreError and Cancelled.
     """
-    frame = renderer.render(view, target, enough=MAX_SAMPLES)
+    frame = renderer.render(view, goal)
     exposure = params.exposure or renderer.prepared.scene.default_exposure
     return encode(frame, "webp", exposure, params.model_copy(update={"background": "transparent"}))
 

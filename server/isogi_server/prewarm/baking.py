@@ -78,7 +78,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Batch:
-    """A set of texels that are baked together, until they have ``enough`` samples.
+    """A set of texels that are baked together, until they reach a ``goal``.
 
     - ``shown``: if given, texels are projected onto that isosurface.
     - ``fineness``: steps by which the lattice is finer than the plan's.
@@ -87,7 +87,7 @@ class Batch:
     """
 
     shown: Isovalue | None
-    enough: int = FIRST_LEVEL
+    goal: Goal
     fineness: int = 0
     side: str = ""
     caches: Caches | None = field(default=None, compare=False, repr=False)
@@ -102,8 +102,13 @@ class Batch:
             float(self.shown or 0.0),
             self.fineness,
             self.side,
-            self.enough,
+            self.goal.samples,
         )
+
+    @property
+    def light(self) -> tuple[Isovalue | None, int, str]:
+        """Key of the light that its texels have, equal for batches of different goals."""
+        return self.shown, self.fineness, self.side
 
     @property
     def usual(self) -> bool:
@@ -113,9 +118,9 @@ class Batch:
 
 @dataclass(eq=False)
 class PrewarmContext:
-    """The things that a prewarm of one ``scene`` to a ``target`` error works with, for a
-    ``viewer``.
+    """The things that a prewarm of one ``scene`` works with, for a ``viewer``.
 
+    - ``goal``: of its pictures.
     - ``frame_of``: return the frame of a view with the light baked so far.
     - ``refine``: take one step of the check of a view's picture, at given prices; return False if
       there is none to take. Raises Cancelled once the event is set.
@@ -129,7 +134,7 @@ class PrewarmContext:
 
     engine: RenderEngine
     scene: Scene
-    target: float
+    goal: Goal
     viewer: Viewer
     frame_of: Callable[[View], Frame]
     refine: Callable[[View, Prices, threading.Event], bool]
@@ -151,9 +156,15 @@ class PrewarmContext:
         caches = batch.caches or self.engine.renderer(self.scene.id, batch.fineness).caches
         return caches.chunk_store_of(batch.shown)
 
+    def goal_at(self, rung: int) -> Goal:
+        """Return the goal of texels that are to have ``rung`` samples, or to be good enough by
+        themselves.
+        """
+        return self.goal._replace(samples=rung)
+
     def bake_of(self, batch: Batch, demands: Iterable[Demand]) -> tuple[str, Stage]:
         """Return the name of the bake of a batch, and a stage with these ``demands`` of it."""
-        stage = Stage(tuple(demands), Goal(self.target, batch.enough), batch.caches)
+        stage = Stage(tuple(demands), batch.goal, batch.caches)
         return self.engine.bake_at(self.scene.id, "gi", stage, batch.fineness), stage
 
     @property
@@ -342,8 +353,8 @@ class Baking:
         return total
 
 
-UNREACHED_ERROR = 1e-9
-"""A target error that the first paths do not reach."""
+UNREACHED_GOAL = Goal(1e-9)
+"""A goal that the first paths do not reach."""
 
 SCHEDULED = Path("/proc/thread-self/schedstat")
 """File in which Linux counts the nanoseconds that a thread ran,
@@ -375,7 +386,7 @@ def rehearse(
         light, texels, spec, demand, goal, (time.perf_counter() + most, cancelled)
     )
     # If they ended early, the paths left cost as much as those taken.
-    more = 1.0 + Effort.of(relative_error(light, spec), light.samples, *goal).left / max(paths, 1)
+    more = 1.0 + Effort.of(relative_error(light, spec), light.samples, goal).left / max(paths, 1)
     seconds = ready_time() - begun
     processor = time.thread_time() - processor
     chunk.light.put(rows, light)
@@ -426,8 +437,7 @@ def do_tasks(
             demand.offsets,
             demand.footprints,
             next_until(effort),
-            goal.error,
-            enough=goal.samples,
+            goal,
         )
         before = light.samples
         since = time.thread_time()
@@ -447,7 +457,7 @@ def seconds_of_first_light(spec: BakeSpec, texels: np.ndarray) -> float:
     including maps that are not kept yet.
     """
     begun = ready_time()
-    refine(Light.dark(spec.plan, len(texels)), texels, spec, FIRST_LEVEL, UNREACHED_ERROR)
+    refine(Light.dark(spec.plan, len(texels)), texels, spec, FIRST_LEVEL, UNREACHED_GOAL)
     return ready_time() - begun
 
 

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from isogi_core.bake.noise import Effort, Goal, relative_error
+from isogi_core.bake.noise import Effort, relative_error
 from isogi_core.bake.texel_light import FIRST_LEVEL, next_level
 from isogi_core.cache.costs import Cost
 from isogi_core.errors import Cancelled, ViewError
@@ -84,7 +84,7 @@ class Survey:
     @property
     def chunks(self) -> int:
         """Number of chunks that lack light, counted for each bake."""
-        return len({(replace(batch, enough=0), index) for batch, index in self.demands})
+        return len({(batch.light, index) for batch, index in self.demands})
 
     @property
     def unlit(self) -> int:
@@ -190,7 +190,7 @@ class Pictures:
         for wish in wishes:
             found.add(*wish)
         if wishes:
-            self.rung = max(self.rung, *(batch.enough for batch, _ in wishes))
+            self.rung = max(self.rung, *(batch.goal.samples for batch, _ in wishes))
         else:
             self.rung = max(self.rung, rung_of(frame))
             if not frame.checkable:
@@ -216,7 +216,7 @@ def wishes_of(frame: Frame) -> Iterator[Wish]:
             side = stage.caches.spec("gi").digest
         else:
             side = ""
-        batch = Batch(stage.shown, stage.goal.samples, coming.quality.fineness, side, stage.caches)
+        batch = Batch(stage.shown, stage.goal, coming.quality.fineness, side, stage.caches)
         yield from ((batch, demand) for demand in stage.demands)
 
 
@@ -231,10 +231,11 @@ def with_efforts(context: PrewarmContext, found: Survey) -> Survey:
     return found
 
 
-def survey_surfaces(context: PrewarmContext, levels: Levels, enough: int, span: Span) -> Survey:
-    """Return the light that the store lacks for all texels
-    of whole isosurfaces to have ``enough`` samples.
+def survey_surfaces(context: PrewarmContext, levels: Levels, rung: int, span: Span) -> Survey:
+    """Return the light that the store lacks for all texels of whole isosurfaces to have ``rung``
+    samples, or to be good enough by themselves.
     """
+    goal = context.goal_at(rung)
     prepared = context.renderer.prepared
     found = Survey()
     volume = prepared.scene.volume
@@ -248,12 +249,12 @@ def survey_surfaces(context: PrewarmContext, levels: Levels, enough: int, span: 
         context.report(
             Step("Looking", "layer", index[0], total, progress_share(index[0], total, span))
         )
-        batch = Batch(None, enough)
+        batch = Batch(None, goal)
         count_chunk(found, batch, with_stored_effort(context, batch, unseen_demand(index, offsets)))
     # Texels that are projected onto an isosurface.
     for demand in projected_demands(context, levels):
         context.check()
-        batch = Batch(demand.shown, enough)
+        batch = Batch(demand.shown, goal)
         count_chunk(found, batch, with_stored_effort(context, batch, demand))
     context.report(Step("Looking", "layer", total, total, span[1]))
     return found
@@ -280,7 +281,7 @@ def projected_demands(context: PrewarmContext, levels: Levels) -> Iterator[Deman
             scene.volume.voxels, prepared.shape, lattice.chunk, [(level, level)]
         ):
             distances = distances_of(lattice.positions(index, offsets), level, prepared, tiles)
-            beyond = distances.beyond(context.target)
+            beyond = distances.beyond(context.goal.error)
             if beyond.any():
                 yield unseen_demand(index, offsets[beyond], level)
 
@@ -308,7 +309,7 @@ def with_stored_effort(context: PrewarmContext, batch: Batch, demand: Demand) ->
     light = chunk.light.rows(chunk.rows_of(demand.offsets))
     samples = np.where(light.void, -1, light.samples)
     error = relative_error(light, spec)
-    return replace(demand, effort=Effort.of(error, samples, context.target, batch.enough))
+    return replace(demand, effort=Effort.of(error, samples, batch.goal))
 
 
 def progress_share(done: int, total: int, span: Span) -> float:
@@ -469,14 +470,14 @@ def rung_ahead(context: PrewarmContext, found: Survey) -> int:
     """Return the samples at which pictures are expected to end,
     or those that they want now if these are more.
     """
-    wanted_now = max((batch.enough for batch, _ in found.demands), default=FIRST_LEVEL)
-    return max(wanted_now, int(USUAL_END_SHARE * most_samples(context.target)))
+    wanted_now = max((batch.goal.samples for batch, _ in found.demands), default=FIRST_LEVEL)
+    return max(wanted_now, int(USUAL_END_SHARE * most_samples(context.goal.error)))
 
 
 def paths_to(found: Survey, rung: int) -> float:
     """Return the paths that all texels which lack light take until they have ``rung`` samples."""
-    wanted_now = ((batch.enough, demand) for batch, demand in found.wishes)
-    return found.paths + sum((rung - enough) * len(demand.offsets) for enough, demand in wanted_now)
+    more = ((rung - batch.goal.samples) * len(demand.offsets) for batch, demand in found.wishes)
+    return found.paths + sum(more)
 
 
 def carry_out(context: PrewarmContext, what: Wanted, begun: Callable[[Summary], None]) -> Summary:
@@ -531,7 +532,7 @@ def forecast_summary(
     rung = rung_ahead(context, found)
     context.report(Step("Trying", "chunk", 0, len(usual), SURVEY_SHARES[1]))
     workers = context.engine.baker.workers
-    goal = Goal(context.target, rung)
+    goal = context.goal_at(rung)
     ahead = forecast(context.renderer, usual, goal, workers, budget, context.cancelled)
     rehearsed = sum(len(demand.offsets) for demand in usual)
     texels = sum(len(demand.offsets) for demand in found.demands.values())
@@ -569,7 +570,7 @@ def summary_of(rounds: Rounds, found: Survey, ahead: CostEstimate, around: float
         views=len(what.views),
         isovalues=what.levels.single,
         ranges=what.levels.ranges,
-        target_error=context.target,
+        target_error=context.goal.error,
         chunks=found.chunks,
         texels=found.unlit,
         refined=found.waiting,
@@ -638,8 +639,12 @@ def quality_fields(rounds: Rounds, left: Survey) -> dict[str, Any]:
 
 def stored_bytes(context: PrewarmContext, places: Iterable[tuple[Batch, Index]]) -> int:
     """Return the bytes that the chunks at these places take in the store."""
-    once = {(replace(batch, enough=0), index) for batch, index in places}
-    stored = ((index, layer) for batch, index in once for layer in context.store_of(batch).layers)
+    once = {(batch.light, index): batch for batch, index in places}
+    stored = (
+        (index, layer)
+        for (_, index), batch in once.items()
+        for layer in context.store_of(batch).layers
+    )
     return sum(len(layer.read(index) or b"") for index, layer in stored)
 
 
@@ -682,16 +687,16 @@ def bake_range(
     span: tuple[float, float],
     coding: Coding,
     views: Iterable[View],
-    goal: float,
+    target: float,
 ) -> RangeLight:
     """Bake all texels of isosurfaces in a ``span`` of isovalues until pictures of ``views`` have
-    the error ``goal``.
+    the error ``target``.
 
-    Texels that are at the context's target by themselves get no more samples. Baking ends early if
+    Texels that are at the context's goal by themselves get no more samples. Baking ends early if
     more samples do not make pictures better. Raises WorkersError, StoreError, and Cancelled.
     """
     levels = Levels((), (span,))
-    most = most_samples(context.target)
+    most = most_samples(context.goal.error)
     rung = FIRST_LEVEL
     before = math.inf
     pictures = None
@@ -708,8 +713,8 @@ def bake_range(
             rung = next_level(rung)
         pictures = pictures or trace_controls(context, list(views))
         error = pictures.measure(coding).likely
-        # Stop at the goal, or if another level is not worth it.
-        if error <= goal or error > WORTHWHILE_ERROR_RATIO * before or rung >= most:
+        # Stop at the target, or if another level is not worth it.
+        if error <= target or error > WORTHWHILE_ERROR_RATIO * before or rung >= most:
             return RangeLight(rung, pictures)
         rung = next_level(rung)
         before = error
@@ -722,12 +727,12 @@ def trace_controls(context: PrewarmContext, views: list[View]) -> ControlPicture
         context.check()
         context.report(Step("Measuring", "view", done, len(views), done / len(views)))
 
-    return ControlPictures(context.renderer, views, context.target, report)
+    return ControlPictures(context.renderer, views, context.goal, report)
 
 
 def survey_range(context: PrewarmContext, levels: Levels, rung: int) -> Survey:
     """Return the light that texels of whole isosurfaces lack
-    to have ``rung`` samples, or to be at the target by themselves.
+    to have ``rung`` samples, or to be good enough by themselves.
     """
     return survey_surfaces(context, levels, rung, (0.0, 1.0))
 
@@ -740,7 +745,7 @@ def bake_rung(context: PrewarmContext, found: Survey, rung: int) -> None:
     if not found.demands:
         return
     demands = [demand for _, demand in found.wishes]
-    goal = Goal(context.target, rung)
+    goal = context.goal_at(rung)
     workers = context.engine.baker.workers
     # Forecast the time for reports of progress, and bake.
     ahead = forecast(context.renderer, demands, goal, workers, TRIAL_SECONDS, context.cancelled)

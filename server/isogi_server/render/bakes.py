@@ -114,9 +114,7 @@ class BackgroundBake:
         self._viewer = viewer
         self.bake = bake
         self.chunks = [demand.index for demand in stage.demands]
-        self.coming = baker.request(
-            bake, stage.demands, stage.goal.error, viewer, stage.goal.samples
-        )
+        self.coming = baker.request(bake, stage.demands, stage.goal, viewer)
 
     def waiting(self) -> int:
         """Return the number of its ``chunks`` that are neither baked nor given up. Call it now

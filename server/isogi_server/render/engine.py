@@ -12,7 +12,6 @@ from functools import partial
 
 from isogi_core.bake.bake_spec import SPECS, spec_name
 from isogi_core.bake.noise import Goal
-from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache.chunk_store import default_store
 from isogi_core.cache.costs import Cost
 from isogi_core.errors import StoreFullError, StoreReadOnlyError
@@ -64,8 +63,7 @@ class Unfinished:
     """The parts that a picture lacks until it is final, without the picture itself, which takes
     megabytes.
 
-    - ``scene``, ``view``, ``max_error``: of the request.
-    - ``target``: relative error that the picture is to reach.
+    - ``scene``, ``view``, ``goal``: of the request.
     - ``final``, ``refinable``: as the frame says.
     - ``seconds``: time that drawing it took, by stage.
     - ``bake``, ``chunks``: light that it needs next.
@@ -77,8 +75,7 @@ class Unfinished:
 
     scene: str
     view: View
-    max_error: float | None
-    target: float
+    goal: Goal
     final: bool
     refinable: bool
     seconds: Mapping[str, float]
@@ -283,7 +280,7 @@ class RenderEngine:
         scene: str,
         view: View,
         *,
-        max_error: float | None = None,
+        goal: Goal | None = None,
         wait: float = 0.0,
         cancelled: threading.Event | None = None,
         watch: Stopwatch | None = None,
@@ -291,54 +288,53 @@ class RenderEngine:
         """Return the frame of a view. If it is not final, have light baked and pictures checked for
         at most ``wait`` seconds.
 
-        ``max_error`` is the relative error at which the frame is final, by default the scene's
-        target. ``watch`` measures the time of all stages. Raises ViewError, StoreError, and
-        Cancelled once ``cancelled`` is set.
+        By default the ``goal`` of the picture is the scene's error, to be checked. ``watch``
+        measures the time of all stages. Raises ViewError, StoreError, and Cancelled once
+        ``cancelled`` is set.
         """
         watch = watch or Stopwatch()
         deadline = time.monotonic() + wait
-        target = max_error or self._find(scene).scene.target_error
-        frame = self.survey(scene, view, target, cancelled, watch)
+        goal = goal or self._usual_goal(scene)
+        frame = self.survey(scene, view, goal, cancelled, watch)
         # Improve the frame and draw it again, until nothing more is coming or the time is up.
-        while frame.checkable or self._coming(scene, frame, target, watch):
+        while frame.checkable or self._coming(scene, frame, goal, watch):
             if (left := deadline - time.monotonic()) <= 0.0:
                 break
             with watch.stage("check" if frame.checkable else "bake"):
                 if frame.checkable:
-                    self.check(scene, view, target, cancelled)
+                    self.check(scene, view, goal, cancelled)
                 else:
                     bake, stage = self.lacking(scene, frame)
                     self.baker.wait(bake, [demand.index for demand in stage.demands], left)
-            frame = self.survey(scene, view, target, cancelled, watch)
+            frame = self.survey(scene, view, goal, cancelled, watch)
         return frame
 
     def survey(
         self,
         scene: str,
         view: View,
-        target: float,
+        goal: Goal,
         cancelled: threading.Event | None = None,
         watch: Stopwatch | None = None,
-        enough: int = FIRST_LEVEL,
     ) -> Frame:
         """Return the frame of a view with the light that is baked so far, without requesting more.
-        See ``Renderer.render`` for ``enough``, a number of samples.
+        See ``Renderer.render`` for the ``goal``.
 
         Raises as ``frame`` does, and UnknownSceneError if the scene was dismissed.
         """
         try:
-            return self._find(scene).render(view, target, cancelled, watch or Stopwatch(), enough)
+            return self._find(scene).render(view, goal, cancelled, watch or Stopwatch())
         finally:
             # Frames grow their scene: make room afterwards, when the frame holds what it needs.
             self._loaded.settle()
 
     def unlit_frame(
-        self, scene: str, view: View, target: float, cancelled: threading.Event
+        self, scene: str, view: View, goal: Goal, cancelled: threading.Event
     ) -> Frame | None:
         """Return the white, provisional frame of a new view that has no light yet, sooner than
         it could be drawn; None for other views. See ``renderer.unlit_frame``.
         """
-        return unlit_frame(self._find(scene).renderer, view, target, cancelled)
+        return unlit_frame(self._find(scene).renderer, view, goal, cancelled)
 
     def sees(self, scene: str, view: View) -> bool:
         """Return True if the G-buffer of a view is kept, so that its picture needs no rays."""
@@ -349,7 +345,7 @@ class RenderEngine:
         self,
         scene: str,
         view: View,
-        target: float,
+        goal: Goal,
         cancelled: threading.Event | None = None,
         prices: Prices = AWAITED,
         over: threading.Event | None = None,
@@ -362,11 +358,11 @@ class RenderEngine:
         tiles = self._checking
         for event in filter(None, (cancelled, over)):
             tiles = tiles.cancelled_by(event)
-        return self._find(scene).check(view, target, tiles, prices)
+        return self._find(scene).check(view, goal, tiles, prices)
 
-    def want(self, scene: str, frame: Frame, target: float, viewer: Viewer) -> frozenset[Index]:
-        """Request the light that a ``frame`` lacks for a ``viewer``; return the chunks that will be
-        baked.
+    def want(self, scene: str, frame: Frame, goal: Goal, viewer: Viewer) -> frozenset[Index]:
+        """Request the light that a ``frame`` lacks for its ``goal``, for a ``viewer``; return the
+        chunks that will be baked.
 
         If the frame lacks no texels, its picture is checked instead. If only its walls lag, they
         are lit while texels are baked. CHECK stands for either in the returned set.
@@ -376,7 +372,7 @@ class RenderEngine:
             # A picture with a part of its light is measured only if the rest takes its time.
             waits = frame.unmeasured and not self.store.only_read()
             delay = LIGHT_PATIENCE_SECONDS if waits else 0.0
-            self._checks.request(scene, frame.view, target, viewer, delay)
+            self._checks.request(scene, frame.view, goal, viewer, delay)
         else:
             self._checks.leave(viewer)
         # A picture that is checked needs no texels now, and a store that is only read takes none.
@@ -384,9 +380,7 @@ class RenderEngine:
             return checking
         self._find(scene)
         bake, stage = self.lacking(scene, frame)
-        return checking | self.baker.request(
-            bake, stage.demands, stage.goal.error, viewer, stage.goal.samples
-        )
+        return checking | self.baker.request(bake, stage.demands, stage.goal, viewer)
 
     def lacking(self, scene: str, frame: Frame) -> tuple[str, Stage]:
         """Return the bake that a ``frame`` needs light of next, and the stage of it: see
@@ -416,12 +410,12 @@ class RenderEngine:
         make = partial(make_bake, loaded.renderer.caches, "gi", loaded.assets, arrived, stage.shown)
         return self._side_bakes.name(scene, stage.shown, fineness, make)
 
-    def unfinished(self, scene: str, frame: Frame, max_error: float | None = None) -> Unfinished:
-        """Return everything that a ``frame`` lacks to reach ``max_error``, by default the target of
-        its scene.
+    def unfinished(self, scene: str, frame: Frame, goal: Goal | None = None) -> Unfinished:
+        """Return everything that a ``frame`` lacks to reach a ``goal``, by default the error of its
+        scene.
         """
-        target = max_error or self._find(scene).scene.target_error
-        picture = (scene, frame.view, max_error, target)
+        goal = goal or self._usual_goal(scene)
+        picture = (scene, frame.view, goal)
         lacks = Unfinished(*picture, frame.final, frame.refinable, frame.seconds)
         if frame.final:
             return lacks
@@ -434,7 +428,7 @@ class RenderEngine:
             later=(frame.quality.finer or frame).stages[1:],
             read=lacking.texels.chunks if lacking else None,
             fineness=frame.quality.fineness,
-            foreseen=ViewChecks.foreseen(frame, target),
+            foreseen=ViewChecks.foreseen(frame, goal),
         )
 
     def waiting(self, lacks: Unfinished, viewer: Viewer) -> int:
@@ -460,17 +454,16 @@ class RenderEngine:
             lambda bake, index, more: listener(self._side_bakes.scene(bake), index, more)
         )
 
-    def time_left(
-        self, scene: str, frame: Frame, max_error: float | None = None
-    ) -> TimeLeft | None:
-        """Estimate the seconds until the view of a ``frame`` is final. None if that is unknown,
-        if nothing more is done for the view, or if there are no workers.
+    def time_left(self, scene: str, frame: Frame, goal: Goal | None = None) -> TimeLeft | None:
+        """Estimate the seconds until a ``frame`` reaches a ``goal``, by default the error of its
+        scene. None if that is unknown, if nothing more is done for the view, or if there are no
+        workers.
         """
-        return self.time_without(self.unfinished(scene, frame, max_error))
+        return self.time_without(self.unfinished(scene, frame, goal))
 
     def time_without(self, lacks: Unfinished) -> TimeLeft | None:
         """Estimate the seconds until a picture has all that it ``lacks``; None as ``time_left``."""
-        picture = (lacks.scene, lacks.view, lacks.max_error)
+        picture = (lacks.scene, lacks.view, lacks.goal)
         if lacks.final:
             self._promises.end(picture)
             return TimeLeft(0.0, 0.0, 0.0)
@@ -479,13 +472,13 @@ class RenderEngine:
         if not (lacks.chunks or lacks.refinable):
             return None
         # Texels of this stage and of all later ones.
-        subject = (lacks.scene, surface_key(lacks.view), lacks.target)
+        subject = (lacks.scene, surface_key(lacks.view), lacks.goal)
         baking = self.baker.time_left(lacks.bake, subject, list(lacks.chunks), lacks.later)
         if baking is None:
             return None
         # Paths from pixels, and drawing the picture meanwhile.
         checks = self._find(lacks.scene).level(lacks.fineness).renderer.checks
-        left = checks.known_left(lacks.view, lacks.target) or lacks.foreseen
+        left = checks.known_left(lacks.view, lacks.goal) or lacks.foreseen
         if lacks.read is not None:
             spent = self.baker.spent(lacks.bake, lacks.read)
             baking = baking.plus(time_of_paths(left, spent, self._checking.threads, lacks.seconds))
@@ -560,13 +553,17 @@ class RenderEngine:
         for listener in self._listeners:
             listener(self.bake_of(scene, view), CHECK, more)
 
-    def _coming(self, scene: str, frame: Frame, target: float, watch: Stopwatch) -> bool:
+    def _coming(self, scene: str, frame: Frame, goal: Goal, watch: Stopwatch) -> bool:
         """Request the light that a frame lacks; return True if any of it will be baked."""
         with watch.stage("demand"):
             return bool(
                 self.lacking(scene, frame)[1].demands
-                and self.want(scene, frame, target, GUEST_VIEWER) - {CHECK}
+                and self.want(scene, frame, goal, GUEST_VIEWER) - {CHECK}
             )
+
+    def _usual_goal(self, scene: str) -> Goal:
+        """Return the goal of pictures without one: the scene's error. Raises as ``_find``."""
+        return Goal.checked(self._find(scene).scene.target_error)
 
     def _find(self, scene: str) -> LoadedScene:
         """Return a scene, loaded if need be; a variant that was dropped is made again. Raises

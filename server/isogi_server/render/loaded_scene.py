@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from isogi_core.allocation import give_memory_back
-from isogi_core.bake.texel_light import FIRST_LEVEL
+from isogi_core.bake.noise import Goal
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import NoRoomError
 from isogi_core.frame.frame import Frame
@@ -114,12 +114,7 @@ class LoadedScene:
         return self._finer and self._finer.held(fineness)
 
     def render(
-        self,
-        view: View,
-        target: float,
-        cancelled: threading.Event | None,
-        watch: Stopwatch,
-        enough: int = FIRST_LEVEL,
+        self, view: View, goal: Goal, cancelled: threading.Event | None, watch: Stopwatch
     ) -> Frame:
         """Return the frame of a view with the light baked so far. Raises as Renderer does.
 
@@ -127,13 +122,13 @@ class LoadedScene:
         texels of this scene, and says that a finer one is coming.
         """
         # A frame that asks for all samples measures these texels, not finer ones.
-        if enough < MAX_SAMPLES:
-            coming = self._render_finer(view, target, cancelled, watch)
+        if goal.samples < MAX_SAMPLES:
+            coming = self._render_finer(view, goal, cancelled, watch)
         else:
             coming = None
         if coming is not None and (coming.measured is not None or not coming.provisional):
             return coming
-        frame = self.renderer.render(view, target, cancelled, watch, enough)
+        frame = self.renderer.render(view, goal, cancelled, watch)
         # A frame that needs no change is returned as it is: what was computed of it stays.
         if coming is None and not self.fineness:
             return frame
@@ -141,28 +136,28 @@ class LoadedScene:
         return replace(frame, quality=replace(frame.quality, fineness=self.fineness, finer=last))
 
     def _render_finer(
-        self, view: View, target: float, cancelled: threading.Event | None, watch: Stopwatch
+        self, view: View, goal: Goal, cancelled: threading.Event | None, watch: Stopwatch
     ) -> Frame | None:
         """Return the frame by finer texels; None if the view's picture does not ask for them,
         or if the memory cannot hold them.
         """
-        if not self.renderer.checks.asks_finer(view, target):
+        if not self.renderer.checks.asks_finer(view, goal):
             return None
         try:
-            return self.finer.render(view, target, cancelled, watch)
+            return self.finer.render(view, goal, cancelled, watch)
         except NoRoomError as error:
             log.info("a view is shown without finer texels: %s", error)
-            self.renderer.checks.decline_finer(view, target)
+            self.renderer.checks.decline_finer(view, goal)
             return None
 
-    def check(self, view: View, target: float, tiles: Tiles, prices: Prices) -> bool:
+    def check(self, view: View, goal: Goal, tiles: Tiles, prices: Prices) -> bool:
         """Take one step of the check of a view's picture; return False if there was none to
         take. Raises as Renderer does.
         """
-        if self.renderer.checks.asks_finer(view, target):
-            return self.finer.check(view, target, tiles, prices)
+        if self.renderer.checks.asks_finer(view, goal):
+            return self.finer.check(view, goal, tiles, prices)
         return self.renderer.refine(
-            view, target, tiles, prices if has_finer(self.scene) else prices.of_present
+            view, goal, tiles, prices if has_finer(self.scene) else prices.of_present
         )
 
     @property

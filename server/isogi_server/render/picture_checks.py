@@ -7,6 +7,7 @@ from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
+from isogi_core.bake.noise import Goal
 from isogi_core.errors import IsogiError
 from isogi_core.model.view import View
 from isogi_core.prepared.prepared_scene import Index
@@ -33,18 +34,18 @@ that wait for the picture ask many times a second.
 
 @dataclass(frozen=True)
 class Picture:
-    """A view of a scene whose total error is to reach a ``target``. ``cancelled`` is set once
+    """A view of a scene whose total error is to reach a ``goal``. ``cancelled`` is set once
     no viewer wants it. Steps are taken from the time ``due`` on, in seconds of the steady clock.
     """
 
     scene: str
     view: View
-    target: float
+    goal: Goal
     cancelled: threading.Event = field(default_factory=threading.Event, compare=False)
     due: float = field(default=0.0, compare=False)
 
 
-Step = Callable[[str, View, float, threading.Event], bool]
+Step = Callable[[str, View, Goal, threading.Event], bool]
 Listener = Callable[[str, View, bool], object]
 
 
@@ -69,7 +70,7 @@ class PictureChecks:
         self._thread: threading.Thread | None = None
 
     def request(
-        self, scene: str, view: View, target: float, viewer: Viewer, delay: float = 0.0
+        self, scene: str, view: View, goal: Goal, viewer: Viewer, delay: float = 0.0
     ) -> None:
         """Have a picture checked for a ``viewer`` after ``delay`` seconds, or later if its check
         failed a moment ago. It replaces the picture that the viewer looked at before, whose step is
@@ -80,7 +81,7 @@ class PictureChecks:
         """
         with self._changed:
             now = time.monotonic()
-            picture = Picture(scene, view, target, due=now + delay)
+            picture = Picture(scene, view, goal, due=now + delay)
             # Wait longer for a picture whose check failed a moment ago.
             self._failed = {each: until for each, until in self._failed.items() if until > now}
             if (until := self._failed.get(picture)) is not None:
@@ -123,7 +124,7 @@ class PictureChecks:
         while (found := self._next()) is not None:
             viewer, picture = found
             try:
-                more = self._step(picture.scene, picture.view, picture.target, picture.cancelled)
+                more = self._step(picture.scene, picture.view, picture.goal, picture.cancelled)
             except IsogiError as error:
                 # Expected, as when nobody wants the picture any more: it may be asked for again
                 # immediately.

@@ -47,6 +47,7 @@ from tests.loaded import load_scene
 Make = Callable[[Scene], Workbench]
 BenchOf = Callable[[str], Workbench]
 TILES = Tiles()
+LOOSE_GOAL = Goal.checked(LOOSE)
 SCENES: dict[str, dict[str, Any]] = {
     "colours": {"lights": [SKY], "albedo": [0.8, 0.6, 0.4]},
     "albedos": {"lights": [SKY], "albedo": 0.6, "albedos": [0.2, 0.8]},
@@ -99,11 +100,11 @@ def twin_of(bench: Workbench, view: View, raw: bool, target: float = LOOSE) -> T
     """The twin with all chunks of a view."""
     scene = card_scene(bench.renderer, view, ()).model_dump()
     twin = Twin(scene, rotation_matrix(view.light))
-    indices = [each.at for each in seen_chunks(bench.renderer, view, target, TILES)]
+    indices = [each.at for each in seen_chunks(bench.renderer, view, Goal.checked(target), TILES)]
     if raw:
-        packed = transfer_chunks(bench.renderer, indices, target, TILES)
+        packed = transfer_chunks(bench.renderer, indices, Goal.checked(target), TILES)
     else:
-        packed = fold_chunks(bench.renderer, view, indices, target, TILES)
+        packed = fold_chunks(bench.renderer, view, indices, Goal.checked(target), TILES)
     twin.take(b"".join(each.data for each in packed.blocks))
     return twin
 
@@ -187,9 +188,11 @@ def kernels_inputs(bench: Workbench, view: View, light: RotatedLight) -> tuple[A
 def test_a_brick_ends_with_its_mean(bench_of: BenchOf) -> None:
     bench = bench_of("colours")
     view = bench.view(size=40)
-    at = [each.at for each in seen_chunks(bench.renderer, view, LOOSE, TILES)][:3]
+    at = [each.at for each in seen_chunks(bench.renderer, view, LOOSE_GOAL, TILES)][:3]
     for block in blocks_in(
-        b"".join(each.data for each in fold_chunks(bench.renderer, view, at, LOOSE, TILES).blocks)
+        b"".join(
+            each.data for each in fold_chunks(bench.renderer, view, at, LOOSE_GOAL, TILES).blocks
+        )
     ):
         bricks: dict[tuple[int, ...], list[int]] = {}
         for (z, y, x), number in block.numbers():
@@ -211,7 +214,7 @@ def test_versions_change_with_light_alone(workbench: Make) -> None:
         load_scene("demo:orbital", bounces=2, target_error=LOOSE, **SCENES["colours"])
     )
     view = bench.view(size=24)
-    before = seen_chunks(bench.renderer, view, LOOSE, TILES)
+    before = seen_chunks(bench.renderer, view, LOOSE_GOAL, TILES)
     assert (
         before
         and {each.version for each in before} == {UNLIT_VERSION}
@@ -220,21 +223,21 @@ def test_versions_change_with_light_alone(workbench: Make) -> None:
     at = [before[0].at]
     columns = bench.caches.spec("gi").columns
     for packed in (
-        fold_chunks(bench.renderer, view, at, LOOSE, TILES),
-        transfer_chunks(bench.renderer, at, LOOSE, TILES),
+        fold_chunks(bench.renderer, view, at, LOOSE_GOAL, TILES),
+        transfer_chunks(bench.renderer, at, LOOSE_GOAL, TILES),
     ):
         (empty,) = blocks_in(packed.blocks[0].data, 3 * columns + 2)
         assert (len(empty.masks), len(empty.records), empty.version) == (0, 0, "00" * 8)
     bench.bake(view)
-    after = seen_chunks(bench.renderer, view, LOOSE, TILES)
+    after = seen_chunks(bench.renderer, view, LOOSE_GOAL, TILES)
     assert [each.at for each in after] == [each.at for each in before]
     assert UNLIT_VERSION not in {each.version for each in after} and all(
         each.final for each in after
     )
-    assert seen_chunks(bench.again().renderer, view, LOOSE, TILES) == after
+    assert seen_chunks(bench.again().renderer, view, LOOSE_GOAL, TILES) == after
     assert [
         each.version
-        for each in seen_chunks(bench.renderer, bench.view(size=24, light=TURN), LOOSE, TILES)
+        for each in seen_chunks(bench.renderer, bench.view(size=24, light=TURN), LOOSE_GOAL, TILES)
     ] == [each.version for each in after]
 
 
@@ -244,7 +247,7 @@ def test_most_visible_chunks_come_first(workbench: Make) -> None:
     )
     view = bench.view(size=48)
     texels = bench.renderer.texels(view, bench.renderer.gbuffer(view))
-    order = [each.at for each in seen_chunks(bench.renderer, view, LOOSE, TILES)]
+    order = [each.at for each in seen_chunks(bench.renderer, view, LOOSE_GOAL, TILES)]
     counts = dict.fromkeys(texels.chunks, 0)
     for corner in texels.corners.ravel().tolist():
         counts[texels.chunks[texels.places[corner] >> 3 * texels.lattice.bits]] += 1
@@ -258,9 +261,9 @@ def test_noisy_light_is_filtered_across_chunks(workbench: Make) -> None:
     bench = workbench(load_scene("demo:orbital", bounces=2, target_error=0.02, **SCENES["colours"]))
     view = bench.view(size=40)
     bench.bake(view, 0.6)
-    indices = [each.at for each in seen_chunks(bench.renderer, view, 0.02, TILES)]
-    packed = fold_chunks(bench.renderer, view, indices, 0.02, TILES)
-    alone = fold_chunks(bench.renderer, view, indices[:1], 0.02, TILES)
+    indices = [each.at for each in seen_chunks(bench.renderer, view, Goal.checked(0.02), TILES)]
+    packed = fold_chunks(bench.renderer, view, indices, Goal.checked(0.02), TILES)
+    alone = fold_chunks(bench.renderer, view, indices[:1], Goal.checked(0.02), TILES)
     assert not packed.alone and alone.blocks[0].data == packed.blocks[0].data, (
         "neighbours are asked for by themselves"
     )
@@ -305,18 +308,18 @@ def test_transfer_stands_for_its_chunk_alone(workbench: Make) -> None:
     )
     view = bench.view(size=40)
     bake_to(bench, view, FIRST_LEVEL)
-    at = [each.at for each in seen_chunks(bench.renderer, view, 0.02, TILES)]
-    packed = transfer_chunks(bench.renderer, at, 0.02, TILES)
+    at = [each.at for each in seen_chunks(bench.renderer, view, Goal.checked(0.02), TILES)]
+    packed = transfer_chunks(bench.renderer, at, Goal.checked(0.02), TILES)
     assert (
         packed.alone
-        and transfer_chunks(bench.renderer, at[:1], 0.02, TILES).blocks[0].data
+        and transfer_chunks(bench.renderer, at[:1], Goal.checked(0.02), TILES).blocks[0].data
         == packed.blocks[0].data
     )
 
 
 def bake_to(bench: Workbench, view: View, samples: int) -> None:
     """Bring the texels of a view to so many samples."""
-    for demand in bench.renderer.render(view, 1e-3, enough=samples).demands:
+    for demand in bench.renderer.render(view, Goal(1e-3, samples)).demands:
         refine_chunk(bench.caches.of("gi"), samples, 1e-3, demand)
 
 
@@ -371,9 +374,9 @@ def test_blocks_in_few_bits_hold_the_transfer(colours: Workbench) -> None:
     view = colours.view(size=40)
     tiles = bench.renderer.tiles
     coding = coding_of(bench, 0.01)
-    indices = [each.at for each in seen_chunks(bench.renderer, view, LOOSE, tiles)]
-    whole = transfer_chunks(bench.renderer, indices, LOOSE, tiles)
-    few = coded_chunks(bench.renderer, indices, LOOSE, coding, tiles)
+    indices = [each.at for each in seen_chunks(bench.renderer, view, LOOSE_GOAL, tiles)]
+    whole = transfer_chunks(bench.renderer, indices, LOOSE_GOAL, tiles)
+    few = coded_chunks(bench.renderer, indices, LOOSE_GOAL, coding, tiles)
     expected = blocks_in(b"".join(each.data for each in whole.blocks), len(coding.steps))
     for block, same in zip(few, expected, strict=True):
         assert int.from_bytes(block[14:16], "little") == 2
@@ -412,7 +415,7 @@ def test_normals_in_few_bits_stay_near_and_codes_as_they_are() -> None:
 def test_pictures_of_fine_codes_are_isogis(bench_of: BenchOf, name: str) -> None:
     bench = bench_of(name)
     view = bench.view(size=40)
-    framebuffer = draw_coded(bench.renderer, view, coding_of(bench, 1e-4), LOOSE)
+    framebuffer = draw_coded(bench.renderer, view, coding_of(bench, 1e-4), LOOSE_GOAL)
     expected = drawn(bench, view)[2]
     if bench.caches.spec("gi").lobes:
         expected = expected + bench.renderer.lobe_radiance(bench.renderer.render(view))
@@ -428,7 +431,7 @@ def test_coded_pictures_have_colours_by_data(workbench: Make) -> None:
     bench = workbench(load_scene("demo:orbital", lights=[CONSTANT], volumes=[table], **kept))
     view = bench.view(size=40)
     bench.bake(view)
-    framebuffer = draw_coded(bench.renderer, view, coding_of(bench, 1e-4), LOOSE)
+    framebuffer = draw_coded(bench.renderer, view, coding_of(bench, 1e-4), LOOSE_GOAL)
     gbuffer = bench.renderer.gbuffer(view)
     tints = bench.renderer._light(view).tints(gbuffer, bench.renderer.tiles)
     expected = tints * drawn(bench, view)[2]
@@ -439,7 +442,7 @@ def test_coded_pictures_have_colours_by_data(workbench: Make) -> None:
 
 def test_measured_errors_grow_by_what_rounding_adds(colours: Workbench) -> None:
     views = [colours.view(azimuth=azimuth, size=48) for azimuth in (40.0, 43.0)]
-    pictures = ControlPictures(colours.renderer, views, 0.2)
+    pictures = ControlPictures(colours.renderer, views, Goal.checked(0.2))
     fine, coarse_error = (pictures.measure(coding_of(colours, error)) for error in (1e-3, 0.6))
     assert len(pictures) == 2 and fine.controls == 2 * 256
     assert fine.low < fine.likely < fine.high < coarse_error.low
@@ -449,7 +452,9 @@ def test_views_without_a_surface_are_not_measured(workbench: Make) -> None:
     bench = workbench(load_scene("demo:orbital", target_error=LOOSE, projected=False))
     view = bench.view(size=16)
     away = replace(view.camera, target=tuple(2.0 * np.array(view.camera.eye) - view.camera.target))
-    assert len(ControlPictures(bench.renderer, [replace(view, camera=away)], 0.5)) == 0
+    assert (
+        len(ControlPictures(bench.renderer, [replace(view, camera=away)], Goal.checked(0.5))) == 0
+    )
 
 
 # --- known blocks
@@ -457,6 +462,7 @@ def test_views_without_a_surface_are_not_measured(workbench: Make) -> None:
 
 
 TARGET = 0.02
+GOAL = Goal.checked(TARGET)
 
 
 @pytest.fixture(scope="module")
@@ -488,7 +494,7 @@ def folded(monkeypatch: pytest.MonkeyPatch) -> list[Index]:
 
 
 def seen(bench: Workbench) -> list[Index]:
-    return [each.at for each in seen_chunks(bench.renderer, bench.view(size=40), TARGET, TILES)]
+    return [each.at for each in seen_chunks(bench.renderer, bench.view(size=40), GOAL, TILES)]
 
 
 def data(packed: Packed) -> list[bytes]:
@@ -498,11 +504,11 @@ def data(packed: Packed) -> list[bytes]:
 def test_chunks_are_folded_once_for_all_visitors(bench: Workbench, folded: list[Index]) -> None:
     view = bench.view(size=40)
     at = seen(bench)
-    once = known_light(bench.renderer, view, at[:5], TARGET, TILES)
-    again = known_light(bench.renderer, view, [*at[::-1], at[0]], TARGET, TILES)
+    once = known_light(bench.renderer, view, at[:5], GOAL, TILES)
+    again = known_light(bench.renderer, view, [*at[::-1], at[0]], GOAL, TILES)
     assert sorted(folded) == sorted(at)
     assert once.blocks == again.blocks[-2:-7:-1] and again.blocks[-1] is once.blocks[0]
-    assert data(again)[:-1] == data(fold_chunks(bench.renderer, view, at[::-1], TARGET, TILES))
+    assert data(again)[:-1] == data(fold_chunks(bench.renderer, view, at[::-1], GOAL, TILES))
     assert not again.alone
 
 
@@ -512,35 +518,35 @@ def test_other_light_is_folded_by_itself(
 ) -> None:
     view = bench.view(size=40)
     at = seen(bench)[:3]
-    known_light(bench.renderer, view, at, TARGET, TILES)
+    known_light(bench.renderer, view, at, GOAL, TILES)
     more = {
         "light": {"light": quaternion_from_angles(70.0, 0.0, 0.0)},
         "albedo": {"albedo": (0.3, 0.3, 0.3)},
     }
     other = bench.view(size=40, **more.get(change, {}))
     target = 0.3 if change == "target" else TARGET
-    found = known_light(bench.renderer, other, at, target, TILES)
+    found = known_light(bench.renderer, other, at, Goal.checked(target), TILES)
     assert len(folded) == 6
-    assert data(found) == data(fold_chunks(bench.renderer, other, at, target, TILES))
+    assert data(found) == data(fold_chunks(bench.renderer, other, at, Goal.checked(target), TILES))
 
 
 def test_what_is_baked_on_is_folded_once_more(bench: Workbench, folded: list[Index]) -> None:
     """So are the chunks beside, whose light is filtered by it."""
     view = bench.view(size=40)
     at = seen(bench)
-    known_light(bench.renderer, view, at, TARGET, TILES)
+    known_light(bench.renderer, view, at, GOAL, TILES)
     folded.clear()
     bench.bake(bench.view(size=16), 0.3)
-    found = known_light(bench.renderer, view, at, TARGET, TILES)
+    found = known_light(bench.renderer, view, at, GOAL, TILES)
     assert folded
-    assert data(found) == data(fold_chunks(bench.renderer, view, at, TARGET, TILES))
+    assert data(found) == data(fold_chunks(bench.renderer, view, at, GOAL, TILES))
 
 
 def test_transfer_is_known_whatever_the_light(bench: Workbench) -> None:
     at = seen(bench)[:4]
-    once, again = (known_transfer(bench.renderer, at, TARGET, TILES) for _ in range(2))
+    once, again = (known_transfer(bench.renderer, at, GOAL, TILES) for _ in range(2))
     assert once.blocks == again.blocks
-    assert once.blocks != known_light(bench.renderer, bench.view(size=40), at, TARGET, TILES).blocks
+    assert once.blocks != known_light(bench.renderer, bench.view(size=40), at, GOAL, TILES).blocks
 
 
 def test_known_blocks_take_few_bytes(bench: Workbench, folded: list[Index]) -> None:
@@ -549,18 +555,18 @@ def test_known_blocks_take_few_bytes(bench: Workbench, folded: list[Index]) -> N
     at = seen(bench)
     bench.renderer.blocks = known = KnownBlocks(100_000)
     for each in at:
-        known_light(bench.renderer, view, [each], TARGET, TILES)
+        known_light(bench.renderer, view, [each], GOAL, TILES)
         assert known.nbytes <= 100_000
-    known_light(bench.renderer, view, [at[0]], TARGET, TILES)
+    known_light(bench.renderer, view, [at[0]], GOAL, TILES)
     assert folded.count(at[0]) == 2 and folded.count(at[-1]) == 1
 
 
 def test_a_look_at_final_light_is_kept_until_more_is_baked(bench: Workbench) -> None:
     view = bench.view(size=40)
-    once = look_at(bench.renderer, view, 0.9, TILES)
-    assert once.frame is None and look_at(bench.renderer, view, 0.9, TILES) is once
+    once = look_at(bench.renderer, view, Goal.checked(0.9), TILES)
+    assert once.frame is None and look_at(bench.renderer, view, Goal.checked(0.9), TILES) is once
     bench.bake(bench.view(size=16), 0.3)
-    again = look_at(bench.renderer, view, 0.9, TILES)
+    again = look_at(bench.renderer, view, Goal.checked(0.9), TILES)
     assert again.seen != once.seen and [each.at for each in again.seen] == [
         each.at for each in once.seen
     ]
@@ -568,5 +574,5 @@ def test_a_look_at_final_light_is_kept_until_more_is_baked(bench: Workbench) -> 
 
 def test_a_look_at_light_to_come_is_not_kept(bench: Workbench) -> None:
     view = bench.view(azimuth=220.0, size=40)
-    once, again = (look_at(bench.renderer, view, 0.9, TILES) for _ in range(2))
+    once, again = (look_at(bench.renderer, view, Goal.checked(0.9), TILES) for _ in range(2))
     assert once.frame is not None and again.frame is not once.frame and again.seen == once.seen

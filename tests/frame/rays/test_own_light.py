@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from isogi_core.bake.noise import RATE
+from isogi_core.bake.noise import RATE, Goal
 from isogi_core.files.radiance import write_hdr
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer
@@ -392,7 +392,7 @@ def test_pixels_of_a_picture_say_what_they_err_by(
     bench = Workbench(lamp_lit_mask(tmp_path), tmp_path / "store")
     view = bench.view(size=64, distance=1.8)
     frame = baked(bench, view)
-    while bench.renderer.refine(view, 0.02):
+    while bench.renderer.refine(view, Goal.checked(0.02)):
         frame = baked(bench, view)
     assert frame.quality.known
     own = frame.quality.known.own
@@ -403,7 +403,7 @@ def test_pixels_of_a_picture_say_what_they_err_by(
 
     # Pictures of the same pixels by other paths, beside the truth.
     light = RotatedLight(bench.caches.spec("gi"), view)
-    check = bench.renderer.checks.held(view, 0.02)
+    check = bench.renderer.checks.held(view, Goal.checked(0.02))
     assert check
     choice = Choice(own.places, 0.0, own.count, own.expected)
     squares = []
@@ -416,7 +416,7 @@ def test_pixels_of_a_picture_say_what_they_err_by(
             choice, own.count, light, frame.gbuffer, bench.renderer.tiles
         )
         check.known = replace(frame.quality.known, own=grown)
-        drawn = bench.renderer.render(view, 0.02)
+        drawn = bench.renderer.render(view, Goal.checked(0.02))
         squares.append(((luminance(drawn) - lit)[own.places] ** 2).mean())
         reported.append(((drawn.error[on] * luminance(drawn))[own.places] ** 2).mean())
     # The reference has noise at these pixels, too: more than on the average of the picture.
@@ -426,12 +426,12 @@ def test_pixels_of_a_picture_say_what_they_err_by(
 
 def baked(bench: Workbench, view: View) -> Frame:
     """The frame of a view once its texels have as many samples as are enough for now."""
-    while (frame := bench.renderer.render(view, 0.02)).stages:
+    while (frame := bench.renderer.render(view, Goal.checked(0.02))).stages:
         for stage in frame.stages:
             caches = stage.caches or bench.caches
             loader = caches.of("gi") if stage.shown is None else caches.projected(stage.shown)
             for demand in stage.demands:
-                refine_chunk(loader, frame.quality.enough, stage.goal.error, demand)
+                refine_chunk(loader, frame.quality.samples, stage.goal.error, demand)
     return frame
 
 

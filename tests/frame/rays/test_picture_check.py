@@ -200,16 +200,16 @@ def climbed(bench: Workbench, view: View, target: float) -> list[Frame]:
     A rung costs its paths alone: of small pictures the tasks would cost more.
     """
     frames = [baked_so_far(bench, view, target)]
-    while bench.renderer.refine(view, target, prices=SHARED_PRICES):
+    while bench.renderer.refine(view, Goal.checked(target), prices=SHARED_PRICES):
         frames.append(baked_so_far(bench, view, target))
     return frames
 
 
 def baked_so_far(bench: Workbench, view: View, target: float) -> Frame:
     """The frame of a view once its texels have as many samples as are enough for now."""
-    while (frame := bench.renderer.render(view, target)).demands:
+    while (frame := bench.renderer.render(view, Goal.checked(target))).demands:
         loader = bench.caches.of(view.shading)
-        until = max(frame.quality.enough, 1)
+        until = max(frame.quality.samples, 1)
         for demand in frame.demands:
             refine_chunk(loader, until, target, demand)
     return frame
@@ -238,10 +238,12 @@ def test_texels_climb_no_further_than_their_picture_asks(workbench: Make, tmp_pa
     bench = workbench(load_scene("demo:orbital", lights=[lamps(tmp_path)], bounces=1, lattice=0.5))
     view = bench.view(size=72)
     frames = climbed(bench, view, 0.03)
-    rungs = [frame.quality.enough for frame in frames]
+    rungs = [frame.quality.samples for frame in frames]
     assert rungs == sorted(rungs) and rungs[0] == FIRST_LEVEL and rungs[-1] > FIRST_LEVEL
     known = [frame.quality for frame in frames]
-    assert all(each.lacking and each.lacking.reading.samples.max() <= each.enough for each in known)
+    assert all(
+        each.lacking and each.lacking.reading.samples.max() <= each.samples for each in known
+    )
     last = frames[-1]
     assert last.final and last.total.high <= 0.03 and last.counts["final"] == last.surface
     true = trace_reference(bench.renderer, view, 1024)
@@ -292,7 +294,7 @@ def test_a_rung_is_for_noise_that_it_takes_away(
     monkeypatch.setattr(PictureCheck, "_add_controls", lambda *_: bool(taken.append("controls")))
     climbs = np.arange(1000) < noisy
     reading = reading_of(np.where(climbs, 0.05, 0.03), np.where(climbs, 16, 64))
-    state = PictureState(0.02, drawn=FIRST_LEVEL, paths=64)
+    state = PictureState(Goal.checked(0.02), drawn=FIRST_LEVEL, paths=64)
     total = TotalError(0.019, 0.017, 0.022, 2 * FIRST_CONTROLS)
     quality = SimpleNamespace(lacking=SimpleNamespace(reading=reading), known=state)
     frame: Any = SimpleNamespace(
@@ -351,9 +353,9 @@ def test_controls_of_a_rung_tell_of_the_next_one_first(workbench: Make) -> None:
     view = bench.view(size=32)
     target = 0.015
     frame = baked_so_far(bench, view, target)
-    while frame.quality.enough == FIRST_LEVEL:
-        assert bench.renderer.refine(view, target, prices=SHARED_PRICES)
-        frame = bench.renderer.render(view, target)
+    while frame.quality.samples == FIRST_LEVEL:
+        assert bench.renderer.refine(view, Goal.checked(target), prices=SHARED_PRICES)
+        frame = bench.renderer.render(view, Goal.checked(target))
     assert frame.outdated and frame.measured is not None and frame.demands and not frame.final
     above = baked_so_far(bench, view, target)
     assert (
@@ -361,8 +363,8 @@ def test_controls_of_a_rung_tell_of_the_next_one_first(workbench: Make) -> None:
         and above.measured != frame.measured
         and not above.final
     )
-    assert bench.renderer.refine(view, target)
-    renewed = bench.renderer.render(view, target)
+    assert bench.renderer.refine(view, Goal.checked(target))
+    renewed = bench.renderer.render(view, Goal.checked(target))
     assert not renewed.outdated and controls_of(renewed) is not controls_of(frame)
     assert renewed.version == above.version
 
@@ -594,22 +596,24 @@ def test_light_that_is_still_to_come_is_measured(workbench: Make, part: float) -
     bench = workbench(load_scene("demo:orbital", lights=[SKY], bounces=1))
     view = bench.view(azimuth=20.0, size=32)
     loader = bench.caches.of("gi")
-    demands = sorted(bench.renderer.render(view, TARGET).demands, key=lambda each: each.index)
+    demands = sorted(
+        bench.renderer.render(view, Goal.checked(TARGET)).demands, key=lambda each: each.index
+    )
     bits = bench.renderer.prepared.lattice.bits
     for demand in demands[: int(part * len(demands))]:
         some = demand.offsets[first_texels(demand.offsets, bits)]
         refine_chunk(loader, FIRST_LEVEL, TARGET, replace(demand, offsets=some))
-    before = bench.renderer.render(view, TARGET)
+    before = bench.renderer.render(view, Goal.checked(TARGET))
     assert before.unmeasured and before.total.predicted
-    assert bench.renderer.refine(view, TARGET)
-    frame = bench.renderer.render(view, TARGET)
+    assert bench.renderer.refine(view, Goal.checked(TARGET))
+    frame = bench.renderer.render(view, Goal.checked(TARGET))
     assert not frame.unmeasured and frame.provisional and not frame.final
     assert (frame.noise > 0.3) == (part < 1.0)
     best = trace_reference(bench.renderer, view, 1024)
     light = best.mean[frame.state > 0].astype(np.float64) @ LUMINANCE_WEIGHTS
     true = math.sqrt(((luminance(frame) - light) ** 2).mean()) / light.mean()
     assert frame.total.low <= true <= frame.total.high < 1.0
-    assert not bench.renderer.refine(view, TARGET)
+    assert not bench.renderer.refine(view, Goal.checked(TARGET))
     settled = climbed(bench, view, TARGET)[-1]
     assert settled.final and settled.quality.known is not None
     assert not settled.outdated

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import interp1d
 
+from isogi_core.bake.noise import Goal
 from isogi_core.cache.upkeep import PruneRule, audit_store, census_of, plan_prune
 from isogi_core.cache.wall_store import WallLayer, WallState, WallStore
 from isogi_core.errors import ViewError
@@ -410,18 +411,18 @@ def test_walls_are_fine_before_any_texel_has_light(bench: Workbench) -> None:
     """A step makes them so; they err less then than a surface without light, and wait for that."""
     view = view_of(bench)
     target = 0.01
-    first = bench.renderer.render(view, target)
+    first = bench.renderer.render(view, Goal.checked(target))
     assert first.walls_lag and first.refinable and not first.checkable
     assert not bench.renderer.render(replace(view, moving=True)).refinable, (
         "a view that moves has no time for it"
     )
-    assert bench.renderer.refine(view, target)
-    second = bench.renderer.render(view, target)
+    assert bench.renderer.refine(view, Goal.checked(target))
+    second = bench.renderer.render(view, Goal.checked(target))
     assert 0.9 * first.quality.waiting < second.quality.waiting and not second.walls_lag
     assert (beside_surface(second) > PROVISIONAL).all()
     assert second.coverage["provisional"] < first.coverage["provisional"] == 1.0
-    assert not bench.renderer.refine(view, target)
-    assert bench.renderer.render(view, target).version == second.version
+    assert not bench.renderer.refine(view, Goal.checked(target))
+    assert bench.renderer.render(view, Goal.checked(target)).version == second.version
 
 
 @pytest.mark.slow

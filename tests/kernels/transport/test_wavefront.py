@@ -5,6 +5,7 @@ import pytest
 from numba import njit
 
 from isogi_core.bake.bake_spec import spec_for
+from isogi_core.bake.noise import Goal
 from isogi_core.bake.refine import refine
 from isogi_core.bake.texel_light import Light
 from isogi_core.kernels.tracing.field import RAY_OFFSET_VOXELS
@@ -109,11 +110,11 @@ def test_texels_are_the_same_bits_in_any_company(pieces):
         np.int32
     )
     together = Light.dark(spec.plan, len(texels))
-    refine(together, texels, spec, 64, 0.0)
+    refine(together, texels, spec, 64, Goal(0.0))
     for piece in np.array_split(rng.permutation(len(texels)), pieces):
         apart = Light.dark(spec.plan, len(piece))
-        refine(apart, texels[piece], spec, 32, 0.0)
-        refine(apart, texels[piece], spec, 64, 0.0)
+        refine(apart, texels[piece], spec, 32, Goal(0.0))
+        refine(apart, texels[piece], spec, 64, Goal(0.0))
         for part, whole in zip(apart.parts, together.parts, strict=True):
             for name in ("samples", "noise", "coefficients"):
                 assert np.array_equal(getattr(part, name), getattr(whole, name)[piece])

@@ -13,6 +13,7 @@ import httpx
 import pytest
 from websockets.sync.client import connect
 
+from isogi_core.bake.noise import Goal
 from isogi_server.api.service import PictureRequest, RenderThreads, Service
 from isogi_server.render.engine import RenderEngine
 from isogi_server.render.loaded_scene import LoadedScene
@@ -71,7 +72,7 @@ async def test_checks_of_jobs_leave_threads_to_others() -> None:
 
     asyncio.get_running_loop().set_default_executor(ThreadPoolExecutor(2))
     service: Any = SimpleNamespace(engine=SimpleNamespace(check=check), threads=RenderThreads(1))
-    pictures: Any = [PictureRequest("a", number, 0.1) for number in range(8)]  # type: ignore[arg-type]
+    pictures: Any = [PictureRequest("a", number, Goal(0.1)) for number in range(8)]  # type: ignore[arg-type]
     checks = [asyncio.create_task(Service.check(service, each)) for each in pictures]
     await asyncio.sleep(0.1)
     async with asyncio.timeout(5.0):

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from fastapi import FastAPI
 
+from isogi_core.bake.noise import Goal
 from isogi_core.errors import Cancelled, NoRoomError, StoreError
 from isogi_core.frame.frame import Frame, Quality
 from isogi_core.frame.gbuffer import GBuffer
@@ -80,7 +81,7 @@ class FakeEngine:
     def __init__(self, scene: Scene, doing: Callable[[threading.Event], None]) -> None:
         self.scenes = {scene.id: scene}
         self.doing = doing
-        self.views: list[tuple[View, float]] = []
+        self.views: list[tuple[View, Goal]] = []
         self.wants: list[Viewer] = []
         self.left: list[Viewer] = []
         self.coming: frozenset[Index] = frozenset()
@@ -126,14 +127,14 @@ class FakeEngine:
         return ["No worker is alive."]
 
     def unlit_frame(
-        self, scene: str, view: View, target: float, cancelled: threading.Event
+        self, scene: str, view: View, goal: Goal, cancelled: threading.Event
     ) -> Frame | None:
         return None
 
     def survey(
-        self, scene: str, view: View, target: float, cancelled: threading.Event, watch: Stopwatch
+        self, scene: str, view: View, goal: Goal, cancelled: threading.Event, watch: Stopwatch
     ) -> Frame:
-        self.views.append((view, target))
+        self.views.append((view, goal))
         self.doing(cancelled)
         return self.picture(view, watch)
 
@@ -154,7 +155,7 @@ class FakeEngine:
         """Done in a picture, so that each has a version of its own."""
         self.version = f"v{len(self.views)}"
 
-    def want(self, scene: str, frame: Frame, target: float, viewer: Viewer) -> frozenset[Index]:
+    def want(self, scene: str, frame: Frame, goal: Goal, viewer: Viewer) -> frozenset[Index]:
         self.wants.append(viewer)
         return self.coming
 
@@ -167,7 +168,7 @@ class FakeEngine:
     def bake_of(self, scene: str, view: View) -> str:
         return scene
 
-    def time_left(self, scene: str, frame: Frame, max_error: float | None) -> TimeLeft:
+    def time_left(self, scene: str, frame: Frame, goal: Goal) -> TimeLeft:
         return TimeLeft(1.0, 2.0, 3.25)
 
 
@@ -247,8 +248,8 @@ async def test_a_frame_reaches_the_engine_as_a_view(engine: FakeEngine, app: Fas
         app, {"height": 3, "isovalue": 0.3, "wait_ms": 250, "max_error": 0.1, "f": "npy"}
     )
     assert answer.status_code == 200, answer.text
-    view, target = engine.views[0]
-    assert (view.width, view.height, view.isovalue, target) == (4, 3, 0.3, 0.1)
+    view, goal = engine.views[0]
+    assert (view.width, view.height, view.isovalue, goal) == (4, 3, 0.3, Goal.checked(0.1))
     assert answer.headers["isogi-provisional"] == "?1"
     assert answer.headers["isogi-chunks"] == "needed=3, final=1"
     assert answer.headers["isogi-coverage"] == "final=0.000, converging=0.000, provisional=1.000"
@@ -472,7 +473,7 @@ async def test_pictures_are_drawn_while_asking_for_light_takes_long(
     """The queue of bakes may be busy for as many requests as there are threads that render."""
     drawn = threading.Event()
 
-    def want(scene: str, frame: Frame, target: float, viewer: Viewer) -> frozenset[Index]:
+    def want(scene: str, frame: Frame, goal: Goal, viewer: Viewer) -> frozenset[Index]:
         assert wait_for(drawn.is_set)
         return frozenset()
 

@@ -10,6 +10,7 @@ import httpx
 import numpy as np
 import pytest
 
+from isogi_core.bake.noise import Goal
 from isogi_core.frame.frame import Frame
 from isogi_core.kernels.shading.framebuffer import PROVISIONAL
 from isogi_core.model.view import View
@@ -119,10 +120,10 @@ async def test_the_light_of_the_step_before_stands_in(series: RenderEngine, inli
     variants = Variants(series, lambda name: None)
     own = series.scenes["series"]
     view = view_of(series)
-    bare = series.survey((await variants.of(own, Change(time=1))).id, view, 0.5)
+    bare = series.survey((await variants.of(own, Change(time=1))).id, view, Goal.checked(0.5))
     assert not series.frame("series", view, wait=LONG).provisional
     series.dismiss("series@+1")
-    lent = series.survey((await variants.of(own, Change(time=1))).id, view, 0.5)
+    lent = series.survey((await variants.of(own, Change(time=1))).id, view, Goal.checked(0.5))
     assert set(np.unique(lent.state)) == {0, PROVISIONAL}, "what stands in is told as provisional"
     assert len(lent.demands) == len(bare.demands), "and all of it is still to be baked"
     wanted = series.frame("series@+1", view, wait=LONG)

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from isogi_core.bake.noise import Goal
 from isogi_core.errors import Cancelled
 from isogi_core.model.view import Camera, View
 from isogi_server.cli import render
@@ -14,6 +15,7 @@ from isogi_worker.errors import WorkersError
 from isogi_worker.progress import TimeLeft
 
 VIEW = View(0.5, Camera((5.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
+GOAL = Goal.checked(0.1)
 
 
 class Script:
@@ -43,7 +45,7 @@ class Script:
             return self.failing
         return ""
 
-    def time_left(self, scene: str, frame: Any, max_error: float | None) -> TimeLeft:
+    def time_left(self, scene: str, frame: Any, goal: Goal) -> TimeLeft:
         return TimeLeft(61.0, 200.0, 7300.0)
 
     def unready(self) -> list[str]:
@@ -58,15 +60,15 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     yield
 
 
-def refine(engine: Script, max_error: float | None = None, seconds: float | None = None) -> Any:
-    return render.draw_refined(engine, "scene", VIEW, max_error, seconds)  # type: ignore[arg-type]
+def refine(engine: Script, goal: Goal = GOAL, seconds: float | None = None) -> Any:
+    return render.draw_refined(engine, "scene", VIEW, goal, seconds)  # type: ignore[arg-type]
 
 
 def test_it_asks_until_the_frame_is_final(capsys: pytest.CaptureFixture[str]) -> None:
     engine = Script("a", "b", "c", "final")
-    assert refine(engine, max_error=0.1).version == "final"
+    assert refine(engine).version == "final"
     assert [each["wait"] for each in engine.asked] == [render.FRAME_SECONDS] * 4
-    assert all(each["max_error"] == 0.1 for each in engine.asked)
+    assert all(each["goal"] == GOAL for each in engine.asked)
     bar = capsys.readouterr().err
     assert "lighting" in bar and "about 3.3 min left (1 min to 2 h)" in bar
 
@@ -80,7 +82,7 @@ def test_it_ends_when_the_time_is_spent() -> None:
 def test_it_asks_once_where_there_is_no_time() -> None:
     engine = Script("a", "final")
     assert refine(engine, seconds=0).version == "a"
-    assert engine.asked == [{"max_error": None, "wait": 0.0, "cancelled": None}]
+    assert engine.asked == [{"goal": GOAL, "wait": 0.0, "cancelled": None}]
 
 
 class Slow(Script):

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from isogi_core.bake.noise import Goal
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.frame import projected_texels
 from isogi_core.frame.rays.picture_plan import SHARED_PRICES
@@ -56,9 +57,9 @@ def test_walls_that_were_prewarmed_are_final_at_once(blocks: Path, tmp_path: Pat
             scene,
             Settings(),
         ):
-            frame = engine.survey("among", view, 0.1)
+            frame = engine.survey("among", view, Goal.checked(0.1))
             assert len(frame.gbuffer.walls.pixels) and not frame.quality.waiting
-            between = engine.survey("among", replace(view, isovalue=0.5), 0.1)
+            between = engine.survey("among", replace(view, isovalue=0.5), Goal.checked(0.1))
             assert set(between.state.ravel()[between.gbuffer.walls.pixels]) == {CONVERGING}
 
 
@@ -85,7 +86,7 @@ def test_what_was_prewarmed_is_final_at_once(blocks: Path, tmp_path: Path) -> No
     with closing(RenderEngine([scene], str(tmp_path))) as engine:
         engine.start(with_workers=False)
         for view in Views(order, scene, Settings()):
-            assert not engine.survey("blocks", view, 0.1).provisional
+            assert not engine.survey("blocks", view, Goal.checked(0.1)).provisional
     assert warmed(blocks, tmp_path, "0.5").paths == 0
     assert chunks_in(tmp_path) == kept
 
@@ -105,8 +106,8 @@ def test_whole_isosurfaces_are_final_from_all_sides_and_between(
         engine.start(with_workers=False)
         for isovalue in rng.uniform(0.45, 0.55, 8):
             view = view_of(scene, float(rng.uniform(0, 360)), float(isovalue))
-            assert not engine.survey("blocks", view, 0.1).provisional
-        assert engine.survey("blocks", view_of(scene, isovalue=0.7), 0.1).provisional
+            assert not engine.survey("blocks", view, Goal.checked(0.1)).provisional
+        assert engine.survey("blocks", view_of(scene, isovalue=0.7), Goal.checked(0.1)).provisional
     assert prewarm(str(blocks), order, settings).paths == 0
 
 
@@ -132,7 +133,7 @@ def test_projected_texels_are_prewarmed_too(
         for view in Views(
             order_of({"isovalues": ["0.4", "0.5"], "views": 3, **SIZE}), scene, Settings()
         ):
-            frame = engine.survey("projected", view, 0.1)
+            frame = engine.survey("projected", view, Goal.checked(0.1))
             assert not frame.provisional and frame.quality.projection
             shares = frame.quality.projection.shares
             assert shares["projected"] > 0.2 and shares["pending"] == 0.0

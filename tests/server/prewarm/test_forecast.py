@@ -13,7 +13,6 @@ import pytest
 from isogi_core.bake.noise import Effort, Goal
 from isogi_core.frame.demand import Demand
 from isogi_core.frame.texel_reading import Stage
-from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.plan.assembly import load_scene
 from isogi_server.prewarm.baking import FEWEST_TRIED, MOST_TRIED, forecast, rehearse, stratified
 from isogi_server.render.engine import RenderEngine
@@ -54,13 +53,13 @@ def test_a_rehearsal_does_the_tasks_of_a_bake_and_keeps_nothing(
         patient = Viewer("a test", patient=True)
         view = view_of(scene)
         renderer = engine.renderer("blocks")
-        demands = engine.survey("blocks", view, 0.1, enough=MAX_SAMPLES).demands
+        demands = engine.survey("blocks", view, Goal(0.1)).demands
         tried = [
             rehearse(renderer, each, Goal(0.1, 128), math.inf, threading.Event())
             for each in demands
         ]
         cut = rehearse(renderer, demands[0], Goal(0.1, 128), 0.0, threading.Event())
-        before = engine.survey("blocks", view, 0.1, enough=MAX_SAMPLES)
+        before = engine.survey("blocks", view, Goal(0.1))
         assert before.counts["provisional"] == before.surface > 0
         engine.bake("blocks", Stage(demands, Goal(0.1, 128)), patient).wait(LONG)
         assert sum(one.tasks for one in tried) == len(tasks)
@@ -68,8 +67,8 @@ def test_a_rehearsal_does_the_tasks_of_a_bake_and_keeps_nothing(
         assert sum(one.stored for one in tried) == stored
         assert all(one.seconds > 0.0 for one in tried)
         assert cut.tasks == pytest.approx(tried[0].tasks, rel=5.0)
-        assert not engine.survey("blocks", view, 0.1, enough=128).provisional
-        rest = engine.survey("blocks", view, 0.002, enough=MAX_SAMPLES).demands
+        assert not engine.survey("blocks", view, Goal(0.1, 128)).provisional
+        rest = engine.survey("blocks", view, Goal(0.002)).demands
         assert rehearse(renderer, rest[0], Goal(0.002), math.inf, threading.Event()).tasks >= 1.0
         assert forecast(renderer, (), Goal(0.1), 1, 1.0, threading.Event()).seconds == 0.0
 

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from isogi_core.bake.noise import Goal
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.errors import Cancelled
 from isogi_core.frame.rays.picture_plan import COUNTED_TEXEL_SHARE, SHARED_PRICES, Prices
@@ -129,7 +130,7 @@ def test_a_prewarm_bakes_what_serving_the_view_would(
     summary = warmed(lit, tmp_path / "warmed", one)
     (view,) = views_of(lit, one)
     with engine_of(lit, tmp_path / "served", with_workers=True) as engine:
-        frame = engine.frame("lit", view, max_error=0.004, wait=LONG)
+        frame = engine.frame("lit", view, goal=Goal.checked(0.004), wait=LONG)
         assert frame.final
     assert chunks_in(tmp_path / "warmed") == chunks_in(tmp_path / "served")
     assert summary.paths > FIRST_LEVEL * summary.texels > 0
@@ -216,11 +217,12 @@ def test_a_check_can_be_cancelled_and_yields(monkeypatch: pytest.MonkeyPatch) ->
     rests: list[float] = []
     monkeypatch.setattr(work.cancelled, "wait", rests.append)
     over = threading.Event()
-    step = ("a view", 0.1, SHARED_PRICES, over)
+    goal = Goal.checked(0.1)
+    step = ("a view", goal, SHARED_PRICES, over)
     assert work._refine(*step) and not rests  # type: ignore[arg-type]
     service.attended = True
     assert work._refine(*step) and rests[0] >= 0.05  # type: ignore[arg-type]
-    assert asked == [("a scene", "a view", 0.1, work.cancelled, SHARED_PRICES, over)] * 2
+    assert asked == [("a scene", "a view", goal, work.cancelled, SHARED_PRICES, over)] * 2
 
 
 def test_a_check_ends_with_the_time() -> None:

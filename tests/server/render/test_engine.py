@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from isogi_core.bake.noise import Goal
 from isogi_core.errors import Cancelled, StoreError
 from isogi_core.frame.entry_kernels import FRAME, LOBES
 from isogi_core.frame.frame import Frame
@@ -139,10 +140,10 @@ def test_a_picture_is_measured_early_only_if_light_takes_long(
     delays: list[float] = []
     monkeypatch.setattr(engine._checks, "request", lambda *given: delays.append(given[-1]))
     (scene,) = engine.scenes
-    assert CHECK in engine.want(scene, part, 0.3, GUEST_VIEWER)
+    assert CHECK in engine.want(scene, part, Goal.checked(0.3), GUEST_VIEWER)
     # A store that takes nothing gets no more light: what there is is measured at once.
     monkeypatch.setattr(engine.store, "only_read", lambda: True)
-    assert engine.want(scene, part, 0.3, GUEST_VIEWER) == {CHECK}
+    assert engine.want(scene, part, Goal.checked(0.3), GUEST_VIEWER) == {CHECK}
     assert delays == [LIGHT_PATIENCE_SECONDS, 0.0]
 
 
@@ -243,19 +244,21 @@ def test_after_a_restart_the_same_view_is_final_at_once(
 def test_a_path_traced_frame_lacks_no_light_whatever_its_error(begin: Begin, scene: Scene) -> None:
     engine = begin()
     view = replace(view_of(scene), shading="path_traced", samples=16)
-    frame = engine.frame(scene.id, view, max_error=0.001, wait=LONG)
+    goal = Goal.checked(0.001)
+    frame = engine.frame(scene.id, view, goal=goal, wait=LONG)
     assert frame.provisional and frame.noise > 0.001
     assert engine.lacking(scene.id, frame)[1].demands == ()
-    assert draw_refined(engine, scene.id, view, 0.001, None).version == frame.version
+    assert draw_refined(engine, scene.id, view, goal, None).version == frame.version
 
 
 @pytest.mark.slow
 def test_a_stricter_error_is_worked_for(begin: Begin) -> None:
     engine = begin()
     loose = look(engine, wait=LONG)
-    strict = look(engine, max_error=0.02)
+    goal = Goal.checked(0.02)
+    strict = look(engine, goal=goal)
     assert loose.final and not strict.final
-    strict = look(engine, max_error=0.02, wait=LONG)
+    strict = look(engine, goal=goal, wait=LONG)
     assert strict.final and strict.total.likely < loose.total.likely
 
 
@@ -424,7 +427,9 @@ def test_what_a_scene_keeps_stays_within_its_memory(
     tracemalloc.start()
     for view in views:
         for shading in ("gi", "vicinity"):
-            engine.survey(scene.id, replace(view, shading=shading, width=128, height=128), 0.3)
+            engine.survey(
+                scene.id, replace(view, shading=shading, width=128, height=128), Goal.checked(0.3)
+            )
         grown.append(tracemalloc.get_traced_memory()[0])
     tracemalloc.stop()
     assert max(grown) < 1.1 * memory

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from isogi_core.bake.noise import Goal
 from isogi_core.cache.upkeep import census_of
 from isogi_core.errors import NoRoomError
 from isogi_core.frame.frame import Frame
@@ -70,8 +71,8 @@ def test_a_view_that_asks_for_finer_texels_has_them(engine: RenderEngine, scene:
 
 def test_what_is_coming_is_asked_for_and_not_shown(engine: RenderEngine, scene: Scene) -> None:
     view = view_of(scene)
-    target = scene.target_error
-    while (frame := engine.survey(scene.id, view, target)).quality.finer is None:
+    goal = Goal.checked(scene.target_error)
+    while (frame := engine.survey(scene.id, view, goal)).quality.finer is None:
         assert not engine.frame(scene.id, view, wait=0.01).final
     bake, stage = engine.lacking(scene.id, frame)
     demands = stage.demands
@@ -79,10 +80,8 @@ def test_what_is_coming_is_asked_for_and_not_shown(engine: RenderEngine, scene: 
     assert (
         frame.quality.fineness == 0 and not frame.final and not frame.checkable and frame.measured
     )
-    assert frame.measured.low > target
-    assert engine.want(scene.id, frame, target, GUEST_VIEWER) == {
-        demand.index for demand in demands
-    }
+    assert frame.measured.low > goal.error
+    assert engine.want(scene.id, frame, goal, GUEST_VIEWER) == {demand.index for demand in demands}
 
 
 def test_without_room_for_them_pixels_get_light_of_their_own(

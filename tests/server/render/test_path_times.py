@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+from isogi_core.bake.noise import Goal
 from isogi_core.cache.costs import Cost
 from isogi_core.frame.rays.picture_plan import HEAVIER
 from isogi_core.frame.view_checks import PathsLeft
@@ -64,32 +65,33 @@ def test_a_picture_tells_the_time_until_its_pixels_have_light(
     engine: RenderEngine, scene: Scene
 ) -> None:
     view = view_of(scene)
-    target = 0.02
+    goal = Goal.checked(0.02)
     checks = engine.renderer(scene.id).checks
-    while (frame := engine.survey(scene.id, view, target)).provisional:
-        engine.frame(scene.id, view, max_error=target, wait=0.05)
+    while (frame := engine.survey(scene.id, view, goal)).provisional:
+        engine.frame(scene.id, view, goal=goal, wait=0.05)
     told = []
-    checks.decline_finer(view, target)
-    while not (frame := engine.survey(scene.id, view, target)).final:
-        assert engine.check(scene.id, view, target)
-        check = checks.held(view, target)
+    checks.decline_finer(view, goal)
+    while not (frame := engine.survey(scene.id, view, goal)).final:
+        assert engine.check(scene.id, view, goal)
+        check = checks.held(view, goal)
         if check is not None and check.growing:
             told.append(
-                (checks.left(frame, target).pixels, engine.time_left(scene.id, frame, target))
+                (
+                    checks.left(frame, goal).pixels,
+                    engine.time_left(scene.id, frame, goal),
+                )
             )
     assert len(told) > 1 and told[0][0] > told[-1][0] > 0.0
     assert all(left is not None and left.likely > 0.0 for _, left in told)
-    assert engine.time_left(scene.id, frame, target) == TimeLeft(0.0, 0.0, 0.0)
+    assert engine.time_left(scene.id, frame, goal) == TimeLeft(0.0, 0.0, 0.0)
 
 
 def test_paths_are_foreseen_before_light_is_final(engine: RenderEngine, scene: Scene) -> None:
     view = view_of(scene)
-    target = scene.target_error / 4.0
-    engine.frame(scene.id, view, max_error=0.5, wait=LONG)
-    frame = engine.survey(scene.id, view, target)
+    goal = Goal.checked(scene.target_error / 4.0)
+    engine.frame(scene.id, view, goal=Goal.checked(0.5), wait=LONG)
+    frame = engine.survey(scene.id, view, goal)
     left = engine.renderer(scene.id).checks.left
-    least = left(frame, target).pixels
-    assert (
-        left(replace(frame, quality=replace(frame.quality, expected=2.0 * target)), target).pixels
-        > least
-    )
+    least = left(frame, goal).pixels
+    worse = replace(frame.quality, expected=2.0 * goal.error)
+    assert left(replace(frame, quality=worse), goal).pixels > least

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import pytest
 
+from isogi_core.bake.noise import Goal
 from isogi_core.errors import Cancelled
 from isogi_core.model.view import Camera, View
 from isogi_server.render import picture_checks
@@ -33,7 +34,7 @@ class Steps:
         self.ended = threading.Semaphore(0)
         self.checks = PictureChecks(self.step, self.note)
 
-    def step(self, scene: str, view: View, target: float, cancelled: threading.Event) -> bool:
+    def step(self, scene: str, view: View, goal: Goal, cancelled: threading.Event) -> bool:
         self.taken.append(view.isovalue)
         self.begun.release()
         assert self.go.acquire(timeout=LONG)
@@ -48,7 +49,8 @@ class Steps:
         self.ended.release()
 
     def ask(self, isovalue: float, viewer: Viewer = ONE, delay: float = 0.0) -> None:
-        self.checks.request("scene", replace(VIEW, isovalue=isovalue), 0.02, viewer, delay)
+        view = replace(VIEW, isovalue=isovalue)
+        self.checks.request("scene", view, Goal.checked(0.02), viewer, delay)
 
     def end(self, count: int) -> None:
         """Let so many steps end."""

@@ -202,18 +202,18 @@ def test_a_view_at_rest_has_projected_texels(engine: RenderEngine, scene: Scene)
 def test_projected_texels_have_a_bake_and_a_time_left(engine: RenderEngine, scene: Scene) -> None:
     view = view_of(scene)
     name = scene.id
-    target = scene.target_error
-    while (frame := engine.survey(name, view, target)).stages[0].shown is None:
-        assert engine.lacking(name, frame)[0] == name and frame.stages[0].goal.error >= target
-        engine.want(name, frame, target, GUEST_VIEWER)
+    goal = Goal.checked(scene.target_error)
+    while (frame := engine.survey(name, view, goal)).stages[0].shown is None:
+        assert engine.lacking(name, frame)[0] == name and frame.stages[0].goal.error >= goal.error
+        engine.want(name, frame, goal, GUEST_VIEWER)
         time.sleep(0.01)
     bake, stage = engine.lacking(name, frame)
     assert frame.provisional and frame.quality.projection and bake != name
     assert (
         places_of(stage.demands) == places_of(frame.quality.projection.demands) != []
-        and stage.goal.error == target
+        and stage.goal.error == goal.error
     )
-    moving = engine.survey(name, replace(view, moving=True), target)
+    moving = engine.survey(name, replace(view, moving=True), goal)
     assert engine.lacking(name, moving)[0] == name and moving.quality.projection is None
     final = engine.frame(name, view, wait=LONG)
     left = engine.time_left(name, final)
@@ -230,8 +230,8 @@ def test_light_that_is_replaced_is_not_brought_to_the_target(
 ) -> None:
     """Light on texels' own isosurfaces that only stands in stays as it is."""
     view = view_of(scene)
-    strict = 0.025
-    lazy = engine.frame(scene.id, view, max_error=strict, wait=LONG)
+    strict = Goal.checked(0.025)
+    lazy = engine.frame(scene.id, view, goal=strict, wait=LONG)
     assert not lazy.provisional and lazy.quality.projection
     wanted = lazy.quality.projection.reading.wanted
     base = lazy.quality.projection.reading.base

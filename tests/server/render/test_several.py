@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from isogi_core.bake.noise import Goal
 from isogi_core.errors import ReportError
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.several.composed_frame import parts_of
@@ -59,12 +60,13 @@ def test_workers_bake_all_sides_and_a_restart_finds_them(make: Callable[..., Ren
     view = View(0.06, scene.camera(40.0, 20.0, 3.0, 30.0), width=24, height=24)
     heard: list[str] = []
     engine.listen(lambda bake, index, more: heard.append(bake))
-    frame = awaited(engine, "orbital", view, None, 240.0)
+    goal = Goal.checked(scene.target_error)
+    frame = awaited(engine, "orbital", view, goal, 240.0)
     assert parts_of(frame) and frame.final
     assert len(parts_of(frame)) > 2 and set(heard) == {"orbital"}
     engine.close()
     other = make(False, **SCENE)
-    again = other.survey("orbital", view, scene.target_error)
+    again = other.survey("orbital", view, goal)
     assert not again.provisional and other.baker.paths == 0
     assert (again.radiance == frame.radiance).all() or again.traced_pixels != frame.traced_pixels
 
@@ -93,19 +95,19 @@ def test_walls_are_lit_beside_texels(make: Callable[..., RenderEngine]) -> None:
     engine = make(False, room="cornell", bounces=1, target_error=0.2, projected=False)
     scene = engine.scenes["orbital"]
     camera = scene.camera(90.0, 0.0, 4.0, 30.0)
-    target = scene.target_error
+    goal = Goal.checked(scene.target_error)
     view = View(scene.isovalue, camera, width=24, height=24)
     heard: Queue[tuple[tuple[int, ...], bool]] = Queue()
     engine.listen(lambda bake, index, more: heard.put((index, more)))
-    first = engine.survey("orbital", view, target)
+    first = engine.survey("orbital", view, goal)
     assert coarse(first) and first.demands
     wanted = {demand.index for demand in first.demands}
-    assert engine.want("orbital", first, target, GUEST_VIEWER) == wanted | {CHECK}
+    assert engine.want("orbital", first, goal, GUEST_VIEWER) == wanted | {CHECK}
     while heard.get(timeout=LONG) != (CHECK, False):
         pass
-    second = engine.survey("orbital", view, target)
+    second = engine.survey("orbital", view, goal)
     assert not coarse(second) and second.demands and engine.baker.paths == 0
-    assert engine.want("orbital", second, target, GUEST_VIEWER) == wanted
+    assert engine.want("orbital", second, goal, GUEST_VIEWER) == wanted
     engine.start_workers()
-    frame = awaited(engine, "orbital", view, None, LONG)
+    frame = awaited(engine, "orbital", view, goal, LONG)
     assert frame.final and not frame.quality.waiting

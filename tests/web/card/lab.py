@@ -196,12 +196,12 @@ class CardScene:
         """
         tiles = self.renderer.tiles
         sent = 0
-        seen = [each.at for each in seen_chunks(self.renderer, view, target, tiles)]
+        seen = [each.at for each in seen_chunks(self.renderer, view, Goal.checked(target), tiles)]
         for first in range(0, len(seen), CHUNKS):
             some = seen[first : first + CHUNKS]
-            answers = [fold_chunks(self.renderer, view, some, target, tiles)]
+            answers = [fold_chunks(self.renderer, view, some, Goal.checked(target), tiles)]
             if raw:
-                answers += [transfer_chunks(self.renderer, some, target, tiles)]
+                answers += [transfer_chunks(self.renderer, some, Goal.checked(target), tiles)]
             for answer in answers:
                 name = self.lab.put("answer", b"".join(each.data for each in answer.blocks))
                 sent += len(gzip.compress(self.lab.data[name], LEVEL))

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import Browser
 
+from isogi_core.bake.noise import Goal
 from isogi_core.frame.card.looks import seen_chunks
 from isogi_core.model.view import View
 from tests.frame.conftest import CONSTANT, LOOSE, SKY, Workbench
@@ -150,7 +151,7 @@ def test_a_lost_card_comes_back_with_all_it_had(lab: Lab, bench: Workbench) -> N
 def test_only_what_lacks_is_asked_for(lab: Lab, bench: Workbench) -> None:
     view = view_at(bench)
     card = CardScene(lab, bench.renderer, view, SIZE)
-    seen = seen_chunks(bench.renderer, view, 0.3, bench.renderer.tiles)
+    seen = seen_chunks(bench.renderer, view, Goal.checked(0.3), bench.renderer.tiles)
     listed = [{"at": ".".join(map(str, each.at)), "version": each.version.hex()} for each in seen]
     listed.append({"at": "0.0.0", "version": "0" * 16})
 
@@ -182,7 +183,7 @@ def test_texels_that_a_card_has_no_rows_for_go_oldest_first(lab: Lab, bench: Wor
     sizes = []
     named = []
     for view in views:
-        seen = seen_chunks(bench.renderer, view, 0.3, bench.renderer.tiles)
+        seen = seen_chunks(bench.renderer, view, Goal.checked(0.3), bench.renderer.tiles)
         named.append({".".join(map(str, each.at)) for each in seen})
         card.light(view, 0.3)
         sizes.append(lab.ask("return card.drawing.texels.rows;"))

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from isogi_core.bake.noise import Goal
 from isogi_core.frame.card.obstacles import SHADINGS
 from isogi_core.model.view import View, orthographic, read_window
 from isogi_core.model.volume import make_volume
@@ -285,7 +286,7 @@ def test_lobes_cast_shadows_while_the_view_moves(lab: Lab, make_bench: Make) -> 
     assert len(light_of(bench.renderer, view).lobes.kinds) > 0
     card = CardScene(lab, bench.renderer, view, SIZE, lobes=True)
     card.light(view, LOOSE)
-    light = bench.renderer.render(view, LOOSE).radiance
+    light = bench.renderer.render(view, Goal.checked(LOOSE)).radiance
     on = plain_light(bench.renderer, view, LOOSE)[1]
     found = difference(card.picture(view), light, on)
     assert found.within >= 0.98 and found.rmse <= 0.02, found

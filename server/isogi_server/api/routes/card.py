@@ -13,6 +13,7 @@ from typing import Any
 
 from fastapi import APIRouter, Request, Response
 
+from isogi_core.bake.noise import Goal
 from isogi_core.frame.card.blocks import known_light, known_transfer
 from isogi_core.frame.card.colour_codes import ColourCodes
 from isogi_core.frame.card.looks import Look, SeenChunk, look_at
@@ -45,6 +46,7 @@ from isogi_server.parameters import (
 )
 from isogi_server.problems import documented_problems
 from isogi_server.render.viewers import request_viewer
+from isogi_server.views import goal_of
 
 MEDIA_TYPE = "application/octet-stream"
 BINARY: dict[int | str, dict[str, Any]] = {
@@ -216,7 +218,7 @@ async def read_chunks(
     def work() -> Look:
         renderer = service.engine.renderer(lit.id)
         renderer.prepared.scene.require_texels()
-        return look_at(renderer, picture.view, picture.target, renderer.tiles)
+        return look_at(renderer, picture.view, picture.goal, renderer.tiles)
 
     look = await service.compute(request, work)
     # Looking has found the texels that are missing; request them for this client.
@@ -265,9 +267,9 @@ async def read_light(
     lit = await open_scene(request, service, scene, params)
     picture = service.picture_of(lit, params.view)
 
-    def pack(renderer: Renderer, named: list[ChunkName], target: float) -> Packed:
+    def pack(renderer: Renderer, named: list[ChunkName], goal: Goal) -> Packed:
         return known_light(
-            renderer, picture.view, [each.at for each in named], target, renderer.tiles
+            renderer, picture.view, [each.at for each in named], goal, renderer.tiles
         )
 
     return await packed(request, service, lit, chunks, params, pack)
@@ -287,8 +289,8 @@ async def read_transfer(
     """
     lit = await open_scene(request, service, scene, params)
 
-    def pack(renderer: Renderer, named: list[ChunkName], target: float) -> Packed:
-        return known_transfer(renderer, [each.at for each in named], target, renderer.tiles)
+    def pack(renderer: Renderer, named: list[ChunkName], goal: Goal) -> Packed:
+        return known_transfer(renderer, [each.at for each in named], goal, renderer.tiles)
 
     return await packed(request, service, lit, chunks, params, pack)
 
@@ -305,7 +307,7 @@ async def open_scene(
     return await service.variant(scene, params, client_of(request.scope))
 
 
-Pack = Callable[[Renderer, list[ChunkName], float], Packed]
+Pack = Callable[[Renderer, list[ChunkName], Goal], Packed]
 
 
 async def packed(
@@ -327,7 +329,7 @@ async def packed(
         renderer = service.engine.renderer(scene.id)
         renderer.prepared.scene.require_texels()
         named = chunk_names(chunks, renderer.prepared.chunks)
-        found = pack(renderer, named, params.max_error or scene.target_error)
+        found = pack(renderer, named, goal_of(scene, params.max_error))
         # The address names versions: the answer lasts only if these are the present ones.
         current = tuple(each.version for each in named) == found.versions
         return binary_answer(request, found.blocks, current and found.alone)

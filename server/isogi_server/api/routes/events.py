@@ -116,7 +116,7 @@ async def events_of(
                             yield event("progress", await progress(service, lacks, viewer))
                         continue
                     lacks = await asyncio.to_thread(
-                        service.engine.unfinished, picture.scene, shown.frame, picture.target
+                        service.engine.unfinished, picture.scene, shown.frame, picture.goal
                     )
                     kind, facts = event_of(service, shown, viewer)
                     version = shown.frame.version
