@@ -203,6 +203,7 @@ class Facts:
         """Return a text such as ``182 of 240 chunks final, error about 1.8 %, about 40 s``."""
         if self.surface == 0:
             return "no surface in view"
+        # Write two digits below 10 %, else whole percents: "g" alone would write 123 as 1.2e+02.
         if self.error < 0.1:
             error = f"{100 * self.error:.2g}"
         else:
@@ -884,13 +885,17 @@ class Isogi:
         """Write an isosurface or the volume, with its light, to a file, and return its path. The
         suffix decides the format.
 
-        ``view`` are the fields of the HTTP interface: isovalue, yaw, exposure, max_error, deadline,
-        … The server's job is dismissed in any case: its file is here then, or of no use.
+        ``view`` are the parameters of the HTTP interface: isovalue, yaw, exposure, max_error, …
+        After ``deadline`` seconds of baking the file is made with the light that is there.
+
+        The server's job is dismissed in any case: its file is here then, or of no use. Raises
+        JobError if the job failed, and OSError if the file cannot be written.
 
         >>> isogi.export("casting", "casting.glb", isovalue=0.5, yaw=90, deadline=300)
         """
         asked = query({**view, "f": Path(path).suffix.removeprefix(".")})
-        # A request that is repeated, as its answer was lost, must not begin a second job.
+        # The request is repeated if its answer is lost: by this key the server knows it again, and
+        # begins no second job.
         once = {"Idempotency-Key": uuid4().hex}
         begun = self._json("POST", f"{scene_path(scene)}/export", params=asked, headers=once)
         job = Job(self, begun["jobID"])

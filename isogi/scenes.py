@@ -455,7 +455,9 @@ def toml_of(source: SceneSource) -> str:
 
 
 def toml_value(value: Any, base: Path) -> str:
-    """Return a value of a document as TOML; ``base`` is the folder that its paths begin at."""
+    """Return a value of a document as TOML. A text that names a file or folder, as seen from the
+    folder ``base`` of the scene file, becomes its absolute path.
+    """
     if isinstance(value, Mapping):
         parts = ", ".join(f"{key} = {toml_value(each, base)}" for key, each in value.items())
         return f"{{ {parts} }}"
@@ -465,6 +467,7 @@ def toml_value(value: Any, base: Path) -> str:
         return str(value).lower()
     if isinstance(value, int | float):
         return repr(value)
+    # A # and the choice of a part of the file may follow its name, as in "scan.h5#time=3".
     name, mark, part = str(value).partition("#")
     if name and (base / name).exists():
         value = f"{(base / name).resolve()}{mark}{part}"

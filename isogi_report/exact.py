@@ -94,10 +94,11 @@ def cuts_harmonics(scene: Scene) -> bool:
 
 
 def lit_by_transfer(bench: Bench, samples: int) -> Lit:
-    """Return the light of surface pixels by transfer at each pixel, of the plan's orders, from
-    ``samples`` paths each.
+    """Return the light of surface pixels as if each were a texel: by the transfer at its point, in
+    the plan's orders of harmonics, by ``samples`` paths from each.
 
-    It is not rounded. Direct light of lobes is that of the frame. Raises Cancelled.
+    The transfer is not rounded as texels keep it. Direct light of lobes is that of the frame.
+    Raises Cancelled.
     """
     renderer = bench.renderer(bench.scene)
     view = bench.view
@@ -117,9 +118,9 @@ def lit_by_transfer(bench: Bench, samples: int) -> Lit:
         halves *= turned.tints(gbuffer, bench.tiles)[:, None]
     # The two halves are independent: half their difference estimates the standard error of their
     # mean.
-    half = (halves[:, 0] - halves[:, 1]) @ LUMINANCE_WEIGHTS / 2.0
+    deviation = (halves[:, 0] - halves[:, 1]) @ LUMINANCE_WEIGHTS / 2.0
     light = np.maximum(halves.mean(axis=1), 0.0) @ LUMINANCE_WEIGHTS
-    return Lit(light + straight_light(bench), half**2)
+    return Lit(light + straight_light(bench), deviation**2)
 
 
 def straight_light(bench: Bench) -> np.ndarray:
@@ -130,10 +131,10 @@ def straight_light(bench: Bench) -> np.ndarray:
     view = bench.view
     spec = renderer.caches.spec(view.shading)
     gbuffer = renderer.gbuffer(view)
-    light = RotatedLight(spec, view)
-    lit = renderer.lobes(light, gbuffer).lit[:, :3]
-    if light.coloured:
-        lit = lit * light.tints(gbuffer, bench.tiles)
+    turned = RotatedLight(spec, view)
+    lit = renderer.lobes(turned, gbuffer).lit[:, :3]
+    if turned.coloured:
+        lit = lit * turned.tints(gbuffer, bench.tiles)
     return spec.unit * luminance_of(lit)
 
 

@@ -1,9 +1,10 @@
 """A report and its journal, which keeps each section as soon as it is measured, so that an
 interrupted report continues.
 
-A folder holds one journal. Its ``report.json`` names the subject of the report; each section is a
-JSON file, with the pixels of its pictures next to it. A section that other code has measured, or
-that is damaged, is measured again.
+The folder of a report holds one journal, the folder ``journal``. Its ``report.json`` names the
+subject of the report: scene, view and exposure. Each section is a JSON file, with the pixels of
+its pictures next to it. A section that other code has measured, or that is damaged, is measured
+again.
 """
 
 import fcntl
@@ -29,9 +30,17 @@ from isogi_core.storage.atomic_file import write_whole
 from isogi_report.sections import Section, document_of, section_of
 
 PAGE_FILE = "index.html"
+"""The page, in the folder of a report."""
+
 DATA_FILE = "report.json"
+"""The figures of the page as JSON, next to it."""
+
 JOURNAL_FOLDER = "journal"
+"""The folder of the journal, in that of the report."""
+
 SUBJECT_FILE = "report.json"
+"""The document of the report's subject, in JOURNAL_FOLDER."""
+
 LOCK_FILE = "lock"
 
 WORK_FOLDER = "work"
@@ -82,7 +91,7 @@ class Journal:
     def __init__(self, folder: Path, subject: Mapping[str, Any]) -> None:
         """Continue the journal, or begin it if it has no section.
 
-        Raises ReportError if it is of another subject.
+        Raises ReportError if it has sections of another subject.
         """
         self.folder = folder / JOURNAL_FOLDER
         self.code = code_digest()

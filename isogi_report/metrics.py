@@ -129,8 +129,9 @@ def map_of(wrong: np.ndarray, on: np.ndarray, mean: float) -> np.ndarray:
 
 
 def flip(radiance: np.ndarray, best: Reference, exposure: float) -> float | None:
-    """Return the mean of FLIP over surface pixels,
-    of both pictures through the film's tone curve; None if FLIP is not installed.
+    """Return the mean of FLIP over surface pixels, between the reference ``best`` and the picture
+    ``radiance`` (h, w, 3), both through the film's tone curve at this ``exposure``. Return None if
+    FLIP is not installed, 0 without surface pixels.
     """
     # FLIP is not among isogi's requirements.
     try:
@@ -142,8 +143,9 @@ def flip(radiance: np.ndarray, best: Reference, exposure: float) -> float | None
         for each in (best.mean, radiance)
     ]
     errors, _, _ = evaluator.evaluate(*shown, "LDR", applyMagma=False, computeMeanError=False)
-    on = np.asarray(errors)[..., 0][best.on]
-    return float(on.mean()) if len(on) else 0.0
+    # Leave the background out of the mean: it is the same in both pictures.
+    surface_errors = np.asarray(errors)[..., 0][best.on]
+    return float(surface_errors.mean()) if len(surface_errors) else 0.0
 
 
 def shown_as(radiance: np.ndarray, on: np.ndarray, exposure: float) -> np.ndarray:

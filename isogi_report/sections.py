@@ -108,7 +108,12 @@ def document_of(section: Section) -> Document:
 
 
 def section_of(document: Mapping[str, Any], pixels: Sequence[np.ndarray]) -> Section:
-    """Return the section of a document and its pictures' pixels."""
+    """Make a section of a ``document`` from ``document_of`` and of ``pixels``, the arrays of its
+    pictures in their order.
+
+    Numbers that were not finite come back as NaN in plots, and as None in tables. Raises KeyError,
+    TypeError or ValueError if the document is damaged.
+    """
     pictures = [
         Picture(**each, pixels=array)
         for each, array in zip(document["pictures"], pixels, strict=True)

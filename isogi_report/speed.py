@@ -156,8 +156,8 @@ def bake_offsets(renderer: Renderer, shading: str, wanted: Offsets, until: int, 
 
 
 def together(wanted: Offsets) -> Iterator[Offsets]:
-    """Yield the texels of chunks in tasks of MAX_TASK_TEXELS
-    or a few more, as workers bake them.
+    """Yield the chunks of ``wanted`` in tasks of at least MAX_TASK_TEXELS texels, the last task
+    excepted: about as many as workers bake at a time, so that waves of paths are full.
     """
     task: Offsets = {}
     for index, offsets in wanted.items():

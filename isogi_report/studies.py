@@ -528,16 +528,18 @@ def break_even_table(baked: Iterable[Curve], traced: Curve, size: str) -> Table:
 
 
 def break_even_row(baked: Curve, traced: Curve) -> tuple[Cell, ...]:
-    """Return a way's row of the table,
-    by its cheapest point that is nearly as good as its last one.
+    """Return the row under EQUAL_ERROR_COLUMNS of one way to keep baked light: its bake against
+    pictures of the same error by paths from each pixel, the ``traced`` curve.
+
+    Drawing a picture of baked light counts as free.
     """
-    # More samples than these hardly reduce the error, so stop the bake there.
+    # End the bake at the first point with nearly the error of the last: more samples hardly help.
     seconds, error = next(
         (x, y) for x, y in zip(baked.x, baked.y, strict=True) if y <= END_ERROR_FACTOR * baked.y[-1]
     )
-    picture = seconds_at(traced, error)
-    pictures = None if picture is None else math.ceil(seconds / picture)
-    return baked.name, error, seconds, picture, pictures
+    traced_seconds = seconds_at(traced, error)
+    pictures = None if traced_seconds is None else math.ceil(seconds / traced_seconds)
+    return baked.name, error, seconds, traced_seconds, pictures
 
 
 def seconds_at(curve: Curve, error: float) -> float | None:

@@ -31,8 +31,8 @@ class Term:
       for several albedos or of several glows.
     - ``order``: of the light.
     - ``luminance``: (channels, n²), luminance of the reflected light, see ``to_luminance``.
-    - ``square``: (n²,), the square of that luminance in the unit of a bake spec, see
-      ``bake.noise``.
+    - ``square``: (n²,), harmonics of the square of that luminance in the unit of a bake spec, see
+      ``bake.noise``; for a node its share of that of all nodes, for glows an upper bound.
     - ``glows``: True for light of glows.
     """
 

@@ -275,7 +275,8 @@ def path_deviation(light: Light, spec: BakeSpec) -> np.ndarray:
         t[:, t.shape[1] // 2, 0] * term.square[0] for t, term in zip(transfer, terms, strict=True)
     )
     mean = np.zeros(len(light))
-    # Subtract the square of the mean, over all pairs of terms.
+    # Add up the mean, over all turns, of the square of the mean of all paths: a sum over all pairs
+    # of terms.
     for (t, one), (u, other) in product(zip(transfer, terms, strict=True), repeat=2):
         each = powers(one.luminance / spec.unit, other.luminance / spec.unit)
         mean += np.einsum(

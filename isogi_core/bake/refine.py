@@ -153,12 +153,13 @@ def refine(
     goal: Goal,
     located: Located | None = None,
 ) -> None:
-    """Bring ``light`` of the ``texels`` (m, 3; z, y, x) up to ``until`` samples each, in place.
+    """Add samples to the ``light`` of the ``texels`` (m, 3; z, y, x), in place, until each has at
+    least ``until`` samples, is final or is void.
 
-    A texel that is final for pictures with this ``goal`` keeps its light, unless one of its parts
-    lags behind the others. Of the other texels the parts with the fewest samples climb, all parts
-    at one level together, as the same paths serve them. Texels are ``located`` here unless that is
-    given.
+    A texel is final if it is good enough for pictures with this ``goal``. It climbs nevertheless if
+    one of its parts lags, see ``next_samples``. Each round finds the lowest level at which a part
+    still climbs, and takes all parts at this level to the next one. Parts of a texel that climb
+    together share their paths. Texels are ``located`` here unless that is given.
     """
     while True:
         # Find the texels that still climb; stop if there are none.
@@ -167,23 +168,24 @@ def refine(
         if not climbing.any():
             return
         located = located or locate(texels, spec.prepared, spec.shown)
-        # Let the texels at the lowest level climb first.
+        # Let the texels at the lowest level climb first. Mark their parts that are at this level,
+        # (parts, rows) bool.
         rows = np.flatnonzero(climbing & (waiting == waiting[climbing].min()))
         level = np.array([part.samples[rows] == waiting[rows] for part in light.parts])
-        # Group them by the parts that are at this level, so that each group shares its paths.
+        # Group the texels by the parts that are marked, so that each group shares its paths.
         for pattern in np.unique(level, axis=1).T:
             parts = tuple(part for part, climbs in zip(light.parts, pattern, strict=True) if climbs)
             climb(parts, rows[(level == pattern[:, None]).all(axis=0)], located, spec)
 
 
 def next_samples(light: Light, spec: BakeSpec, goal: Goal) -> np.ndarray:
-    """Return the samples of the parts that climb next to a ``goal``, (texels,) int; -1 if a texel
-    is final and no part lags.
+    """Return the fewest samples of any part of each texel, (texels,) int; -1 if the texel is void,
+    or final without a part that lags.
 
-    A part lags if it was lost, or not written before a kill: it takes its samples once more, which
-    the other parts do not need.
+    A part lags if it has fewer samples than another one of its texel, and fewer than the most that
+    the ``goal`` takes: it was lost, or not written before a kill. It takes its samples once more,
+    which the other parts do not need.
     """
-    # A part lags if it has fewer samples than another one of its texel, below the limit.
     most = np.max([part.samples for part in light.parts], axis=0)
     lags = ~light.void & (light.samples < np.minimum(most, most_samples(goal.error)))
     return np.where(finished(light, spec, goal) & ~lags, -1, light.samples)

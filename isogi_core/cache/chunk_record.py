@@ -351,12 +351,14 @@ class Chunks:
 
 
 def merge_layers(found: Sequence[tuple[np.ndarray, Part]]) -> tuple[np.ndarray, Light]:
-    """Return the ascending places ``found`` in any of the layers, and the light there;
-    a part is dark where its layer lacks the place.
+    """Return the ascending union of the places of all layers, (m,) int32, and the light there; a
+    part is dark where its layer lacks the place.
+
+    ``found`` holds the ascending places and the part of each layer.
     """
     first = found[0][0]
     parts = [part for _, part in found]
-    # As a rule all layers were baked together and have the same places: no copy is needed.
+    # As a rule all layers were baked together and have the same places: no part is copied.
     if all(np.array_equal(places, first) for places, _ in found):
         return first.astype(np.int32), Light(tuple(parts))
     union = reduce(np.union1d, [places for places, _ in found]).astype(np.int32)

@@ -200,8 +200,10 @@ class ChunkStore:
         self.use = UseStamps(self.store, [layer.digest for layer in self.layers])
 
     def open(self) -> None:
-        """Open or create the layers' arrays, and find the fallback layers. Without this call, both
-        happen when the first chunk is read or written.
+        """Open or create the layers' arrays, and find the fallback layers.
+
+        Without this call, an array is opened when a chunk is first read and created when one is
+        first written; fallback layers are found when a frame first reads chunks.
         """
         for layer in self.layers:
             layer.open()
@@ -221,6 +223,7 @@ class ChunkStore:
         """Read a chunk, or take it from memory if that has newer light; None if no layer has light
         of it.
 
+        A chunk in memory is complete: it has all light that the store has of it, and newer light.
         Damaged objects are logged and count as absent.
         """
         if (newer := self.fresh.newer(index)) is not None:

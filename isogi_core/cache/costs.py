@@ -24,8 +24,8 @@ from isogi_core.storage.store import Store, StoreLike
 log = logging.getLogger("isogi.cache")
 
 SAVE_EVERY = 30.0
-"""Seconds after which changed costs are written again:
-a kill loses the costs of at most this time.
+"""Seconds from the first unsaved change of the costs after which they are written again: a kill
+loses the costs of at most this time.
 """
 
 
@@ -178,19 +178,19 @@ class Costs:
                 self._add(index, cost)
 
     def save(self, at_once: bool = True) -> None:
-        """Write the costs to the store if they have changed; without ``at_once`` only after
-        SAVE_EVERY seconds.
+        """Write the costs to the store if they have changed; without ``at_once`` only if the first
+        unsaved change is at least SAVE_EVERY seconds old.
 
-        A failed write is logged and tried again SAVE_EVERY seconds later. Nothing is written to a
-        read-only store.
+        If that fails, it is logged, and the costs count as changed just now, so that a later call
+        tries again. Nothing is written to a read-only store.
         """
         if self._store.read_only:
             return
         with self._writing:
             with self._lock:
-                if self._changed_at is None or not (
-                    at_once or self._clock() - self._changed_at >= SAVE_EVERY
-                ):
+                if self._changed_at is None:
+                    return
+                if not at_once and self._clock() - self._changed_at < SAVE_EVERY:
                     return
                 # Costs that are added during the write mark themselves as changed again.
                 self._changed_at = None

@@ -463,10 +463,12 @@ def judge_of(parts: int, spec: BakeSpec) -> Judge:
 
 
 def powers_of(spec: BakeSpec) -> np.ndarray:
-    """Return ``bake.noise.powers`` of the lights of each two terms: factors of products of their
-    transfer in a texel's mean squared luminance.
+    """Return ``bake.noise.powers`` of the lights of each pair of terms, in the unit of the
+    ``spec``; (terms, terms, channels, channels, most n²) float64.
 
-    They are 0 above the lower order; (terms, terms, channels, channels, most n²).
+    They weigh the products of two coefficients of a texel's transfer: the sum is the square of the
+    texel's luminance, a mean over all turns of the light, see ``mean_square``. Weights above the
+    lower order of a pair are 0, as the light of one of its terms has no such bands.
     """
     most = max(term.order for term in spec.terms) ** 2
     count = len(spec.terms)

@@ -319,14 +319,16 @@ def fetch_volume(digest: str, store: Store) -> Volume:
     if found is None:
         asset = Asset(store, f"volumes/{digest}")
         nz, ny, nx = asset.describe()[0]
-        found = get_copy(digest, 4 * nz * ny * nx, lambda draft: unpack(asset, draft, digest))
+        found = get_copy(digest, 4 * nz * ny * nx, lambda draft: download(asset, draft, digest))
     return Volume(found[0], **found[1])
 
 
-def unpack(asset: Asset, draft: Draft, digest: str) -> dict[str, Any]:
-    """Write the voxels in the store to a ``draft`` and return the volume's facts.
+def download(asset: Asset, draft: Draft, digest: str) -> dict[str, Any]:
+    """Copy a volume's voxels from the store to a ``draft``, make it valid, and return the volume's
+    facts.
 
-    Raises StoreError if their digest differs.
+    Raises StoreError if the volume is missing or damaged, or has another ``digest``: the ``draft``
+    is not valid then.
     """
     shape, _, _, facts = asset.describe()
     # Compute the digest along the way, as voxels pass by only once.

@@ -259,14 +259,15 @@ class Caches:
             return self._specs[name]
 
     def chunk_store(self, shading: str) -> ChunkStore:
-        """Return the chunk store that views of this ``shading`` read, with its layers opened.
+        """Return the chunk store that views of this ``shading`` read, the same one each time.
 
-        Raises StoreError.
+        Its layers are opened or created first if these caches make layers, see ``__init__``. Raises
+        StoreError if that fails; the next call tries again.
         """
         name = spec_name(shading)
         with self._lock:
             if name not in self._chunk_stores:
-                chunk_store = ChunkStore(self.store, self.spec(name))
+                chunk_store = ChunkStore(self.store, self.spec(shading))
                 if self._makes:
                     chunk_store.open()
                 self._chunk_stores[name] = chunk_store

@@ -56,7 +56,8 @@ class SharedChunk(NamedTuple):
 class Audit:
     """The result of an audit.
 
-    ``whole`` counts sound chunks, ``unread`` those of layers whose metadata is damaged.
+    ``whole`` counts the objects of chunks, one for each layer, that are sound or were deleted
+    meanwhile; ``unread`` those that were not checked, as their layer's metadata is damaged.
     """
 
     inventory: Inventory
@@ -72,13 +73,13 @@ class Audit:
 
 
 def audit_store(
-    store: Store, found: Callable[[Damage], Any] = lambda _: None, progress: Progress = no_progress
+    store: Store, report: Callable[[Damage], Any] = lambda _: None, progress: Progress = no_progress
 ) -> Audit:
-    """Check all objects of a ``store``. It only reads, so servers and workers may go on. Raises
-    StoreError.
+    """Check all objects of layers in a ``store``. It only reads, so servers and workers may go on.
+    Raises StoreError.
 
-    ``found`` is called with each damaged chunk as soon as it is known, but not for damaged
-    metadata; ``progress`` with the numbers of checked objects and of all.
+    ``report`` is called with each damaged object of a chunk as soon as it is known, but not for
+    damaged metadata; ``progress`` with the numbers of checked objects of chunks and of all.
     """
     result = Audit(inventory_of(store.entries()))
     _audit_facts(store, result)
@@ -93,15 +94,17 @@ def audit_store(
             done += len(each.objects)
             result.damages += damages
             for damage in damages:
-                found(damage)
+                report(damage)
             progress(done, total)
+    # Zarr names the objects of chunks digest/c/…, and metadata digest/zarr.json. An object has one
+    # damage at most.
     result.whole = total - sum(damage.key.split("/")[1] == "c" for damage in result.damages)
     return result
 
 
 def check_chunk(store: Store, shared: SharedChunk, facts: Mapping[str, LayerFacts]) -> list[Damage]:
-    """Check the objects of a chunk, each by itself and then against each other;
-    return one damage an object.
+    """Check the objects of a chunk, each by itself and then against each other; return at most one
+    damage for each object.
     """
     damages = []
     samples = {}

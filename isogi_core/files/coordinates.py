@@ -118,20 +118,22 @@ def role_of(name: str, attributes: Mapping[str, Any]) -> str:
 
 
 def roles_of(found: Sequence[str]) -> tuple[str, ...]:
-    """Settle the roles of an array's axes: those that were ``found`` by names if three axes are x,
-    y and z; else the last three axes that are neither time nor channel are z, y and x.
+    """Settle the roles of an array's axes, the slowest first: those that were ``found`` by names if
+    x, y and z are among them and no role comes twice; else the last three axes that are neither
+    time nor channel are z, y and x, and those before have no role, "".
 
-    An axis beyond these has no role. If there are fewer than three axes in space, time stays as the
-    depth of planes.
+    If fewer than three axes are neither time nor channel, the axis of time becomes one of space,
+    then that of channels: a film (t, y, x) is (z, y, x). Of two axes of time, or of channels, only
+    the first does, so that z may be missing.
     """
-    named = sorted(role for role in found if role in "xyz" and role)
+    named = sorted(role for role in found if role in ("x", "y", "z"))
     if named == ["x", "y", "z"] and len(set(filter(None, found))) == len([*filter(None, found)]):
         return tuple(found)
     roles = [role if role in ("t", "c") else "" for role in found]
     free = [n for n, role in enumerate(roles) if not role]
-    for place in ("t", "c"):
-        if len(free) < 3 and place in roles:
-            free = sorted([*free, roles.index(place)])
+    for other in ("t", "c"):
+        if len(free) < 3 and other in roles:
+            free = sorted([*free, roles.index(other)])
     for n, role in zip(free[::-1], "xyz", strict=False):
         roles[n] = role
     return tuple(roles)

@@ -90,14 +90,18 @@ class Packing:
             return np.result_type(scaled, np.float32)
         return scaled
 
-    def apply(self, stored: np.ndarray) -> np.ndarray:
-        """Return the values of stored numbers, in ``dtype``."""
-        alike = stored.dtype.newbyteorder("=") == self.stored.newbyteorder("=")
-        order = stored.dtype.byteorder
-        if alike:
-            numbers = stored
+    def apply(self, given: np.ndarray) -> np.ndarray:
+        """Return the values of the stored numbers that are ``given``, of any shape, in ``dtype``.
+
+        If they are of another type than ``stored``, their bits are read as that type: attributes of
+        a file may take back the sign that its type says. Their byte order stays.
+        """
+        order = given.dtype.byteorder
+        if given.dtype.newbyteorder("=") == self.stored.newbyteorder("="):
+            numbers = given
         else:
-            numbers = np.ascontiguousarray(stored).view(self.stored.newbyteorder(order))
+            numbers = np.ascontiguousarray(given).view(self.stored.newbyteorder(order))
+        # Find all holes before any is put in: of stored numbers, and of values.
         values = self.scaling.apply(numbers)
         for gone in self._gone(numbers, values):
             values = np.where(gone, np.float32(np.nan), values)

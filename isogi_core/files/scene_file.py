@@ -97,15 +97,15 @@ def put_clears(
 
 
 NO_LABEL = "none"
-"""Stands for no label that is hidden."""
+"""Word by which a view asks that no label is hidden, also none that its scene hides."""
 
 Hidden = tuple[int, ...]
 """The values of labels that are hidden, ascending."""
 
 
 def read_hidden(text: str) -> Hidden:
-    """Return the labels that are hidden, as ``3,4`` spells them by their values, or ``none``.
-    Raises SceneError.
+    """Return the labels to hide, as ``3,4`` spells them by their values in any order; empty for
+    ``none``. Raises SceneError.
     """
     try:
         if text.strip() == NO_LABEL:

@@ -169,14 +169,19 @@ class RotatedLight:
 
     @cached_property
     def square(self) -> np.ndarray:
-        """The square of the luminance that ``reflected`` brings, in the spec's ``unit``; (Σ
-        n²,) float64.
+        """Harmonics of the function L², with the luminance L of ``reflected`` as a function of the
+        direction, in the spec's ``unit``: ``Term.square`` of each term in turn, rotated; (Σ n²,)
+        float64.
+
+        For glows it is an upper bound. The variance of a path's luminance follows from it: see
+        ``light_texels``.
         """
         squares = []
         for term in self.seen.terms:
             square = term.square
             if term.glows:
                 square = self.glow**2 * square
+            # The rotated square is the square of the rotated light.
             squares.append(rotated_by(square[None], self.matrix)[0])
         return np.concatenate(squares)
 
@@ -330,8 +335,9 @@ class RotatedLight:
 
 
 def rotated_by(light: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-    """Return coefficients (…, n²) of lights rotated by ``matrix`` (3, 3), always from the
-    unrotated ones.
+    """Return the coefficients of k lights (k, n²), rotated by ``matrix`` (3, 3); (k, n²).
+
+    Rotate the unrotated light each time: errors of one rotation after the other add up.
     """
     if light.shape[1] == 1 or np.array_equal(matrix, np.eye(3)):
         return light

@@ -27,7 +27,7 @@ MAX_TABLE_TEXELS = 1 << 21
 
 
 ENTRY = 20
-"""Bytes of a texel in the table: its number and its normal."""
+"""Bytes of a texel in the table: 8 for its number, and 12 for its normal."""
 
 
 class LatticeNormals:
@@ -38,13 +38,15 @@ class LatticeNormals:
     """
 
     def __init__(self, budget: int) -> None:
-        """Use at most ``budget`` bytes, which are allocated when the first normals are asked
-        for.
+        """Make a table of at most ``budget`` bytes, or of one entry if the budget is smaller than
+        that. It is allocated when the first normals are asked for.
         """
-        self._room = min(
-            1 << max((budget // ENTRY).bit_length() - 1, 0), MAX_TABLE_TEXELS
-        )  # a power of two, as keys are hashed
-        self._full = self._room // 2  # fuller tables are slow
+        # The number of entries is the largest power of two that fits, so that a mask of bits takes
+        # hashes to places.
+        fitting = max(budget // ENTRY, 1)
+        self._room = min(1 << (fitting.bit_length() - 1), MAX_TABLE_TEXELS)
+        # Fuller tables are slow to search.
+        self._full = self._room // 2
         self._held = 0
         self._lock = threading.Lock()
 

@@ -32,9 +32,11 @@ LEAST_SEEN = 1 / 16
 
 
 READ = 3.0
+"""Number of texels that a view reads for each square of the lattice on a surface."""
+
+
 EACH = 16
-"""Number of texels that a view reads for each square of the lattice on a surface; and the step
-between the pairs of neighbouring points by which the area of a pixel on the surface is
+"""Step, in surface points, between the pairs of points by which the area of a pixel is
 estimated.
 """
 
@@ -140,17 +142,18 @@ class ViewTexels:
 
 
 def reads_coarsely(view: View, gbuffer: GBuffer, lattice: Lattice) -> bool:
-    """Return True if a ``view`` moves and would read more texels than it has points: then
-    coarse texels do.
+    """Return True if a ``view`` is to read coarse texels alone: it moves, and would read more
+    texels than it has surface points.
     """
     if not view.moving:
         return False
-    # Estimate the area of a pixel on the surface, in squares of the lattice, by the median distance
-    # of points in neighbouring pixels: each square has READ texels about it.
+    # Take the squared distance between points in horizontally neighbouring pixels for the area of a
+    # pixel on the surface, in squares of the lattice. The median leaves out the steps across
+    # outlines. Each square has READ texels about it.
     are_neighbours = gbuffer.pixels[1::EACH] - gbuffer.pixels[:-1:EACH] == 1
     steps = gbuffer.points[1::EACH] - gbuffer.points[:-1:EACH]
-    squares = ((steps * np.array(lattice.density, np.float32)) ** 2).sum(axis=1)[are_neighbours]
-    return len(squares) > 0 and READ * float(np.median(squares)) > 1.0
+    areas = ((steps * np.array(lattice.density, np.float32)) ** 2).sum(axis=1)[are_neighbours]
+    return len(areas) > 0 and READ * float(np.median(areas)) > 1.0
 
 
 def find_texels(

@@ -30,15 +30,22 @@ def demo_volume(name: str) -> Volume:
     return make_volume(DEMOS[name].build(), name=name)
 
 
+_AXES = ((96, (96, 1, 1)), (128, (1, 128, 1)), (128, (1, 1, 128)))
+"""Number of voxels of the casting along z, y, x, and the shape in which their indices broadcast to
+the volume.
+"""
+
+
 def casting() -> np.ndarray:
     """Return a cast two-cylinder engine block, (96, 128, 128) float32 from 0 to 255, made from a
     signed distance.
 
-    The value is 255 / (1 + e^(d/1.5)), with the distance d in voxels to the surface of the part.
-    Isovalue 127.5 is the part; lower ones grow it, higher ones thin it. From isovalue 1 on every
-    surface is closed within the box.
+    The value is 255 / (1 + e^(d/1.5)). In size, d is the distance in voxels to the surface of the
+    part, or less near edges and fillets; it is negative within. Isovalue 127.5 is the part; lower
+    ones grow it, higher ones thin it. From isovalue 1 on every surface is closed within the box.
     """
-    z, y, x = (np.arange(n, dtype=np.float32).reshape(s) for n, s in _AXES)
+    z, y, x = (np.arange(count, dtype=np.float32).reshape(shape) for count, shape in _AXES)
+    # The part is the metal without the cuts.
     distance = np.maximum(_metal(x, y, z), -_cuts(x, y, z))
     return np.asarray(255.0 / (1.0 + np.exp(distance / 1.5)), np.float32)
 
@@ -56,12 +63,13 @@ def orbital() -> np.ndarray:
     return np.asarray(density / density.max(), np.float32)
 
 
-_AXES = ((96, (96, 1, 1)), (128, (1, 128, 1)), (128, (1, 1, 128)))
 _BARRELS = ((43.5, 64.0), (84.5, 64.0))
 
 
 def _metal(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """Return the distance to the cast metal: crankcase, barrels, fins, flanges, ribs and ports."""
+    """Return the signed distance in voxels, negative within, to the cast metal: crankcase, barrels,
+    fins, flanges, ribs and ports.
+    """
     # Each part is a profile in the plane of two axes, swept over an interval of the third; the
     # parts are joined with fillets, as cast metal has them.
     crankcase = _extrude(_rectangle(x, y, (64.0, 64.0), (44.0, 34.0), 7.0), _slab(z, 24.0, 14.0))
@@ -79,10 +87,11 @@ def _metal(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
 
 
 def _cuts(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """Return the distance to the drilled parts: bores, crank tunnel, bolt holes, oil galleries
-    and port channels.
+    """Return the signed distance in voxels, negative within, to the drilled holes: bores, crank
+    tunnel, bolt holes, oil galleries and port channels.
     """
-    # Each drilled part is a disc swept along its axis; their edges stay sharp.
+    # Each hole is a disc swept along its axis, over an interval of which the middle and the half
+    # length are given; edges between holes stay sharp.
     bores = _extrude(_discs(x, y, _BARRELS, 13.0), _slab(z, 62.0, 36.0))
     tunnel = _extrude(_discs(y, z, [(64.0, 25.0)], 9.5), _slab(x, 64.0, 60.0))
     corners = [(64.0 + 46.5 * i, 64.0 + 44.0 * j) for i in (-1, 0, 1) for j in (-1, 1)]
@@ -100,7 +109,7 @@ def _cuts(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
 
 
 def _lean(y: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """Return the distance to the wedge below the sloping backs of the ribs."""
+    """Return the signed distance to the wedge below the sloping backs of the ribs."""
     return np.asarray((np.abs(y - 64.0) + z - 72.0) * math.sqrt(0.5))
 
 
@@ -122,7 +131,7 @@ def _rectangle(a: np.ndarray, b: np.ndarray, centre: Pair, half: Pair, radius: f
 
 
 def _slab(a: np.ndarray, centre: float, half: float) -> np.ndarray:
-    """Return the signed distance along one axis to an interval."""
+    """Return the signed distance along one axis to the interval centre ± half."""
     return np.asarray(np.abs(a - centre) - half)
 
 

@@ -57,11 +57,11 @@ def read_first_view(settings: Settings) -> FirstView:
     return FirstView(**read_table(table, "The view", VIEW_READERS))
 
 
-def _within(low: float, high: float) -> Callable[[str, Any], float]:
-    """Make a reader of numbers from ``low`` to ``high``."""
+def _number_reader(low: float, high: float) -> Callable[[str, Any], float]:
+    """Return a function that reads a number from ``low`` to ``high``, as TableReaders need it."""
 
     def read(name: str, value: Any) -> float:
-        """Read a number, and raise SceneError if it is out of range."""
+        """Return a number. Raises SceneError if it is none, or out of range."""
         if not is_number(value) or not low <= value <= high:
             raise SceneError(
                 f"{name} is {in_short(value)}: give a number from {low:g} to {high:g}."
@@ -82,15 +82,15 @@ def _ground(name: str, value: Any) -> str:
 
 
 VIEW_READERS: TableReaders = {
-    "azimuth": _within(-360.0, 360.0),
-    "elevation": _within(-90.0, 90.0),
-    "distance": _within(0.01, 1e7),
+    "azimuth": _number_reader(-360.0, 360.0),
+    "elevation": _number_reader(-90.0, 90.0),
+    "distance": _number_reader(0.01, 1e7),
     "target": read_vector,
-    "fov": _within(0.01, 179.0),
-    "yaw": _within(-360.0, 360.0),
-    "pitch": _within(-360.0, 360.0),
-    "roll": _within(-360.0, 360.0),
-    "exposure": _within(1e-36, 1e36),
+    "fov": _number_reader(0.01, 179.0),
+    "yaw": _number_reader(-360.0, 360.0),
+    "pitch": _number_reader(-360.0, 360.0),
+    "roll": _number_reader(-360.0, 360.0),
+    "exposure": _number_reader(1e-36, 1e36),
     "background": _ground,
 }
 """Readers of the keys of ``[view]``."""

@@ -114,17 +114,18 @@ class GlowLayer(Layer):
         return self.channels // self.glows
 
     def lights(self, radiances: np.ndarray) -> list[np.ndarray]:
-        """Return the light, (3, 1) linear RGB, that channels meet if the glows give off
-        ``radiances`` (glows, 3).
+        """Return the light, (3, 1) linear RGB each, by which channels are multiplied if the glows
+        give off ``radiances`` (glows, 3).
 
-        The list has an entry for each glow, if there is one glow or one colour, else for each
-        colour of each glow.
+        Several glows have an entry for each channel, in their order: the whole light of a glow if
+        it has one channel, else one colour of it, with 0 for the others. A single glow has one
+        entry for all its channels, which are the colours of its light.
         """
         if self.glows == 1 or self.colours == 1:
-            shares = np.ones((1, 3))
+            masks = np.ones((1, 3))
         else:
-            shares = np.eye(3)
-        return [(light * share)[:, None] for light in radiances for share in shares]
+            masks = np.eye(3)
+        return [(light * mask)[:, None] for light in radiances for mask in masks]
 
 
 @dataclass(frozen=True)

@@ -145,11 +145,12 @@ def find_core(values: np.ndarray) -> tuple[float, float]:
 
 
 def grow_span(values: np.ndarray) -> tuple[int, int]:
-    """Return the first and last index of the closest two thirds of the ``values``, grown over
-    values that are not outliers.
+    """Return the first and last index of the two thirds of distinct ascending ``values`` that lie
+    closest together, grown over gaps of up to OUTLIER_SPANS times the span so far.
     """
     places = positions(values)
     count = len(values)
+    # Gap n lies between values n and n + 1.
     gaps = np.diff(places)
     most = count - count // 3
     # Find the run of two thirds with the least span. Places are ascending, so each run of ``most``
@@ -159,10 +160,10 @@ def grow_span(values: np.ndarray) -> tuple[int, int]:
     # Grow to the next gap on either side that is too wide; a larger span allows wider gaps, until
     # nothing changes. Gaps are divided, as the span times OUTLIER_SPANS could overflow.
     while True:
-        far = np.flatnonzero(gaps / OUTLIER_SPANS > places[last] - places[first])
+        too_wide = np.flatnonzero(gaps / OUTLIER_SPANS > places[last] - places[first])
         ends = (
-            int(far[far < first].max(initial=-1)) + 1,
-            int(far[far >= last].min(initial=count - 1)),
+            int(too_wide[too_wide < first].max(initial=-1)) + 1,
+            int(too_wide[too_wide >= last].min(initial=count - 1)),
         )
         if ends == (first, last):
             return ends
@@ -224,14 +225,15 @@ class Survey:
         """Yield the normalised voxels, plane by plane along z; (ny, nx) float32 each, NaN for
         holes.
         """
-        # Normalise each possible value once if the type has few, and look voxels up.
+        # There is a tally if the type has few codes: normalise the value of each code once, and
+        # look voxels up.
         if self.tally is None:
-            known = None
+            by_code = None
         else:
-            known = self.voxels_of(values_of(usable_type(self.grid.dtype)))
+            by_code = self.voxels_of(values_of(usable_type(self.grid.dtype)))
         for slab in self.grid.slabs():
             for plane in usable(slab):
-                yield self.voxels_of(plane) if known is None else known[codes_of(plane)]
+                yield self.voxels_of(plane) if by_code is None else by_code[codes_of(plane)]
 
     def voxels_of(self, values: np.ndarray) -> np.ndarray:
         """Return the normalised voxels of ``values``, float32, NaN for holes."""

@@ -174,8 +174,11 @@ def plan_inputs(
 
 
 def with_labels(settings: Settings, whole: Volume) -> Settings:
-    """Return the settings with the volume marked as a segmentation, if its file says that it is
-    one and the scene does not.
+    """Return the settings with ``labels = "all"`` if the ``whole`` volume was opened as a
+    segmentation because its file says so, and the scene lists no labels itself.
+
+    A scene with a setting that labels do not have, such as an isovalue, was not opened so: see
+    ``are_labels``.
     """
     source = settings.source
     if not whole.segmented or source.document.get("labels"):
@@ -193,11 +196,13 @@ ONE_SURFACE_SETTINGS = (
 
 
 def with_start(settings: Settings, whole: Volume) -> tuple[Settings, Start | None]:
-    """The settings of the scene, which say from now on where it starts if Otsu's threshold is no
-    good start, and pin the surface of the other sign; and that start, None if the scene says it.
+    """Return the settings with the start that ``find_start`` chooses, and that start.
 
-    Otsu's threshold stays the start of a series in time, which is one for all steps, and of a scene
-    that says a range of isovalues.
+    The settings get its isovalue if the scene gives none. If the field has both signs and the scene
+    does not say how its surface is, they pin the surface at minus the isovalue too. The start is
+    None if the scene gives its isovalue, or if Otsu's threshold is a good start. No start is chosen
+    for demos, segmentations, series in time, whose steps all start at one isovalue, and scenes that
+    give a range of isovalues.
     """
     settings = without_start(settings, whole)
     document = settings.source.document
@@ -224,8 +229,11 @@ def with_start(settings: Settings, whole: Volume) -> tuple[Settings, Start | Non
 
 
 def without_start(settings: Settings, whole: Volume) -> Settings:
-    """The settings of a scene that is opened anew, as at another step or smoothed, without a start
-    that was found before, if that lies outside of the values that there are now.
+    """Return the settings without the start that ``with_start`` chose when the scene was opened
+    before, if it lies outside of the values of the ``whole`` volume.
+
+    A volume has other values at another step in time, or smoothed. If both signs are shown, minus
+    the isovalue must lie among the values too. An isovalue that the scene's file gives stays.
     """
     source = settings.source
     if not source.found:
@@ -235,13 +243,16 @@ def without_start(settings: Settings, whole: Volume) -> Settings:
     signed = source.document.get("surfaces") == both_signs(shown)["surfaces"]
     if low < shown < high and (not signed or low < -shown < high):
         return settings
-    gone = both_signs(shown) if signed else {"isovalue": shown}
-    rest = {key: value for key, value in source.document.items() if key not in gone}
+    # Take out the keys that ``with_start`` has added.
+    added = set(both_signs(shown)) if signed else {"isovalue"}
+    rest = {key: value for key, value in source.document.items() if key not in added}
     return settings_with(settings, rest, False)
 
 
 def settings_with(settings: Settings, document: Mapping[str, Any], found: bool) -> Settings:
-    """The ``settings`` of a scene with another ``document``; see ``SceneSource``."""
+    """Return the ``settings`` of a scene with another ``document``; ``found`` is True if isogi
+    chose its isovalue, see ``SceneSource``.
+    """
     source = replace(settings.source, document=document, found=found)
     return Settings(source, settings.known)
 

@@ -43,11 +43,13 @@ def refuse_brightness(inputs: PlanInputs) -> None:
         )
 
 
-def refuse_idle(
+def refuse_overrides(
     representation: str, bounces: int, inputs: PlanInputs, overrides: PlanOverrides
 ) -> None:
-    """Raise SceneError if an override cannot show the scene's light, or changes nothing in its
-    plan.
+    """Raise SceneError if one of the ``overrides`` does not fit the scene: it cannot show the
+    scene's light, contradicts another one, or changes nothing in the plan.
+
+    ``representation`` and ``bounces`` are those of the plan, given or chosen.
     """
     refuse_lights(representation, inputs)
     refuse_orders(representation, bounces, overrides)
@@ -197,7 +199,7 @@ def plan_scene(inputs: PlanInputs, overrides: PlanOverrides) -> ScenePlan:
     # Choose the kind of light to keep, the lobes that pixels light by shadow rays, and the layers
     # in the least precision that the target allows.
     representation = overrides.representation or choose_representation(inputs, overrides, bounces)
-    refuse_idle(representation, bounces, inputs, overrides)
+    refuse_overrides(representation, bounces, inputs, overrides)
     if representation == "transfer":
         lobes = lobes_for(inputs, overrides)
     else:

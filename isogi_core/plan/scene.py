@@ -229,11 +229,12 @@ class Scene:
         if self.settings.first.exposure is not None:
             return self.settings.first.exposure
         # Take all light as harmonics, without shadows: environment, lamps as if far away, and glows
-        # as an even light.
+        # as an even light. Light of radiance L from all sides has L √4π in band 0.
         lamps = self.lighting.lamps.approximate(MAX_ORDER, self.volume.centre, self.volume.radius)
         light = self.inputs.harmonics + lamps
         light[:, 0] += self.glow_around * math.sqrt(4.0 * math.pi)
-        # Light that turns is kept in world axes: turn the normals there.
+        # Light that turns has no lamps, and is kept in the axes of the world: turn the normals from
+        # the volume's box to these. All other light is in the axes of the box, as the normals are.
         if self.lighting.rotating:
             turn = self.volume.orientation.matrix.T
         else:

@@ -39,7 +39,7 @@ byte lie in such a step, so that a slider needs one map for all four.
 """
 
 CROWDED_SHARE = 15 / 16
-"""Share of a volume's distinct values in one group from which the group is divided by their
+"""Share of a volume's distinct values in one group above which the group is divided by their
 ranks: smooth fields reach 0.86.
 """
 
@@ -71,13 +71,16 @@ def find_levels(voxels: np.ndarray) -> np.ndarray:
 
 
 def divide_group(values: np.ndarray, low: float, high: float) -> list[float]:
-    """Return the levels of one group from ``low`` to before ``high``; ``values`` are all
-    distinct values, ascending.
+    """Return the levels of the group of values from ``low`` to before ``high``: ``low``, and those
+    that divide the group, if it is crowded; never ``high``.
+
+    A group is crowded if it holds more than CROWDED_SHARE of ``values``, the sampled distinct
+    values of the volume, ascending, and more than CORE_GROUPS.
     """
     inner = values[np.searchsorted(values, low) : np.searchsorted(values, high)]
-    # Few values, or a moderate share of them, need no division.
     if len(inner) <= max(CROWDED_SHARE * len(values), CORE_GROUPS):
         return [low]
+    # Divide it at even ranks, so that each part has about as many values.
     ranks = np.arange(CORE_GROUPS) * len(inner) // CORE_GROUPS
     return [low, *inner[ranks].tolist()]
 
@@ -142,7 +145,8 @@ class ActiveCellMaps:
         self._most = most
         self._sizes = dict[tuple[int, int], int]()
         self._lock = threading.Lock()
-        # Groups start narrow, and widen as more isovalues are asked for.
+        # Mark each interval that is asked for; interval n lies between levels n and n + 1. Groups
+        # start narrow, and widen as more isovalues are asked for.
         self._asked = np.zeros(len(self.levels) - 1, np.bool_)
         self._width = NARROW_LEVELS
         self._grouped: tuple[np.ndarray, np.ndarray] | None = None
@@ -172,8 +176,8 @@ class ActiveCellMaps:
         return self._kept.get((first, last), lambda: self._make(first, last, run))
 
     def groups(self, isovalues: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the number of the group of each of ``isovalues`` (m,), none NaN; and the span (2,)
-        of isovalues that the map of each group is to cover.
+        """Return the number of the group of each of ``isovalues`` (m,), none NaN; and for each
+        group the least and greatest isovalue that its map is to cover, (groups, 2).
 
         Groups are NARROW_LEVELS wide, or as wide as needed for the maps of all groups that were
         asked for to be kept, as each may be needed again. They widen as more isovalues are asked
@@ -181,7 +185,7 @@ class ActiveCellMaps:
         """
         places = np.searchsorted(self.levels, isovalues, "right") - 1
         with self._lock:
-            # New levels are asked for: note them, and divide into groups again.
+            # New intervals are asked for: note them, and divide into groups again.
             if not self._asked[places].all():
                 self._ask(places)
                 self._widen()
@@ -193,7 +197,7 @@ class ActiveCellMaps:
         return np.searchsorted(ends, isovalues, "right") - 1, spans
 
     def _ask(self, places: np.ndarray) -> None:
-        """Note the levels at ``places`` as asked for. If maps are dear, the noted range at least
+        """Note the intervals ``places`` as asked for. If maps are dear, the noted range at least
         doubles whenever it grows.
 
         In a volume of 1024³ voxels a map takes seconds, and each batch of texels asks for slightly
@@ -235,17 +239,18 @@ class ActiveCellMaps:
             self._grouped = None
 
     def _edges(self) -> np.ndarray:
-        """Return the places of the groups' ends among the levels. The first group is the level
-        below the core alone.
+        """Return the places of the groups' ends among the levels, (groups + 1,). The first group
+        is the interval below the first finite level alone.
         """
         last = len(self._asked)
         return np.array([0, *range(1, last, self._width), last])
 
     def _spans(self) -> np.ndarray:
-        """Return, for each group, the places of the first and last level asked for in it; its
-        ends if none was; (m, 2).
+        """Return, for each group, the places of two levels: those below and above all intervals of
+        the group that were asked for, or its ends if none was; (groups, 2).
         """
         edges = self._edges()
+        # Count the intervals asked for from the first of their group.
         asked = [np.flatnonzero(self._asked[first:last]) for first, last in pairwise(edges)]
         spans = [
             (first + inner[0], first + inner[-1] + 1) if len(inner) else (first, last)

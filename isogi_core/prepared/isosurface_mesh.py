@@ -280,16 +280,16 @@ def surface_size(
     of the solid: the field goes on there.
     """
     level = float(isovalue)
-    # Every other voxel must reach as far as the rest for a comparison: drop an even side's last
-    # layer.
-    even = voxels[tuple(slice(n - 1 + n % 2) for n in voxels.shape)]
+    # All voxels are compared with every other one, which must reach as far: make the number along
+    # each side odd, by dropping the last layer of even ones.
+    odd_sided = voxels[tuple(slice(n - 1 + n % 2) for n in voxels.shape)]
     finer = _finer(voxels, level, matrix)
-    every_other = _plain(even[::2, ::2, ::2], level, 2.0 * matrix)
+    every_other = _plain(odd_sided[::2, ::2, ::2], level, 2.0 * matrix)
     # Half steps remove 3/4 of the error: 4/3 of their difference is all of it (Richardson).
     size = _plain(voxels, level, matrix) + 4.0 / 3.0 * finer
-    # A third of a difference is the error that is left after it, of half steps and of every other
-    # voxel.
-    error = (np.abs(finer) + np.abs(_plain(even, level, matrix) - every_other)) / 3.0
+    # The finer one of two results has an error of a third of their difference, as it removes 3/4 of
+    # the other's: of half steps against whole ones, and of all voxels against every other one.
+    error = (np.abs(finer) + np.abs(_plain(odd_sided, level, matrix) - every_other)) / 3.0
     return SurfaceSize(
         float(size[0]),
         float(error[0]),
@@ -300,9 +300,13 @@ def surface_size(
 
 
 def _plain(voxels: np.ndarray, level: float, matrix: np.ndarray) -> np.ndarray:
-    """Return the area, and the volume above a level, by the tetrahedra of the cells; (2,)."""
+    """Return the area, and the volume above a level, by the tetrahedra of the cells that the
+    surface passes, and the volume of those above it; (2,).
+    """
     cells, solid = cells_of(voxels, level)
-    return _sums(voxels, cells, level, matrix) + np.array([0.0, solid * abs(np.linalg.det(matrix))])
+    return _area_and_volume(voxels, cells, level, matrix) + np.array(
+        [0.0, solid * abs(np.linalg.det(matrix))]
+    )
 
 
 def _finer(voxels: np.ndarray, level: float, matrix: np.ndarray) -> np.ndarray:
@@ -311,15 +315,19 @@ def _finer(voxels: np.ndarray, level: float, matrix: np.ndarray) -> np.ndarray:
     """
     cells, _ = cells_of(voxels, level)
     some = cells[:: len(cells) // MAX_TRIED_CELLS + 1]
-    more = _sums(voxels, some, level, matrix, halves=True) - _sums(voxels, some, level, matrix)
+    more = _area_and_volume(voxels, some, level, matrix, halves=True) - _area_and_volume(
+        voxels, some, level, matrix
+    )
     return more * len(cells) / max(len(some), 1)
 
 
-def _sums(
+def _area_and_volume(
     voxels: np.ndarray, cells: np.ndarray, level: float, matrix: np.ndarray, halves: bool = False
 ) -> np.ndarray:
-    """Return the area, and the volume above a level, in ``cells`` (n, 3), by their tetrahedra,
-    or by those of their eighths if ``halves``; (2,).
+    """Return the area of the surface, in squared world units, and the volume above a level, in
+    cubed ones; (2,). They are those in the listed ``cells`` (n, 3) alone.
+
+    The cells' tetrahedra are summed, or those of their eighths if ``halves``.
     """
     total = np.zeros(2)
     for start in range(0, len(cells), SUMMED_CELLS):

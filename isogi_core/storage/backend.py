@@ -171,15 +171,17 @@ FULL_ERRNOS = (errno.ENOSPC, errno.EDQUOT)
 READ_ONLY_ERRNOS = (errno.EACCES, errno.EPERM, errno.EROFS)
 
 WRITING_VERBS = ("write", "make", "delete", "move")
-"""First words of the actions whose refusal means that the store is read-only."""
+"""First words of the actions whose refusal means that the store is read-only. All actions that
+write begin with one of them: see ``store_error``.
+"""
 
 
 def store_error(action: str, store_url: StoreUrl, error: Exception) -> StoreAwayError:
-    """Return our error for a backend's ``error``. ``action`` completes "Cannot …", such as "write
-    a/b to".
+    """Return our error for a backend's ``error``. ``action`` completes "Cannot … the store", such
+    as "write a/b to".
 
-    It is StoreFullError if there is no room, StoreReadOnlyError if a write is not permitted, else
-    StoreAwayError.
+    It is StoreFullError if there is no room, StoreReadOnlyError if permission is lacking and
+    ``action`` begins with one of WRITING_VERBS, else StoreAwayError.
     """
     if isinstance(error, OSError):
         number = error.errno

@@ -527,12 +527,13 @@ def unwrap(stored: bytes, size: int) -> np.ndarray:
 
 
 def unwrap_all(stored: Sequence[bytes], size: int) -> np.ndarray:
-    """Return the records in objects, (objects, ``size``) uint8. Raises DamagedChunkError if any is
-    damaged.
+    """Check and decompress objects that ``wrap`` has made. Return their records of ``size`` bytes,
+    (objects, ``size``) uint8, read-only.
 
-    The bodies are decoded as one stream, so that Zstandard is set up once.
+    Raises DamagedChunkError if any is damaged. All are decoded as one stream, so that Zstandard is
+    set up once.
     """
-    # Zstandard decodes frames in a row to their contents in a row.
+    # A body is a frame, and Zstandard decodes frames in a row to their contents in a row.
     bodies = b"".join(map(body_of, stored))
     try:
         records = np.frombuffer(Zstd().decode(bodies) if stored else b"", np.uint8)

@@ -128,8 +128,9 @@ class BakeRequest:
     - ``effort``: the work that it takes, as far as is known.
     - ``priority``: squared visible error in all views, over the paths taken.
     - ``in_flight``: True if it has a task, which was charged to ``payers``.
-    - ``ranked``: True if it lacked first light when it was last ranked in all queues, and the
-      lowest priority by which any queue ranks it.
+    - ``ranked``: two facts that show if its places in the queues are out of date: True if texels
+      lacked first light when it was last ranked in all queues; the lowest priority by which any
+      queue has ranked it since, 0 at first.
     - ``suspect``: True if a worker died with its task. This task may be the cause, or one next to
       it.
     - ``postponed``, ``waited``: True while another baker is at the chunk, and seconds waited for
@@ -292,15 +293,18 @@ class BakeRequest:
         return exceeds(self._merge(), offsets, goal)
 
     def advance(self, result: BakeResult, grown: bool) -> None:
-        """Take over priority and effort from the ``result`` of a task.
+        """Take over priority and effort from the ``result`` of the task that has just ended.
 
-        If newer views made the request grow meanwhile (``grown``), theirs are kept.
+        If clients want more than the task was asked for (``grown``), the request keeps its own, as
+        the result does not count the rest. That is so after a task of a first few texels, and if
+        views have asked for more since the task began.
         """
+        # The effort is still the one before the result, so ``sparse`` tells of the ended task.
         self.begun = self.begun or self.sparse
         self._known = not grown
         if grown:
             return
-        # The result is of all texels together: share its priority evenly among the clients.
+        # The result has one priority for all texels: share it evenly among the clients.
         for interest in self.interests.values():
             interest.priority = result.priority / len(self.interests)
         self.priority = result.priority

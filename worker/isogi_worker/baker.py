@@ -64,10 +64,11 @@ class Pause:
         return self._clock() >= self._until
 
     def begin(self, reason: str) -> None:
-        """Begin or prolong the pause, as a task has failed for this ``reason``.
+        """Begin or prolong the pause, as the store was away for a chunk's task, for this
+        ``reason``.
 
-        A single failure is ignored, as one request to a store that works may fail by chance: the
-        pause begins if the next task fails, too.
+        The first failure is ignored, as one request to a store that works may fail by chance. The
+        pause begins at the second one, unless ``end`` was called in between.
         """
         if not self._stumbled:
             self._stumbled = True
@@ -75,19 +76,23 @@ class Pause:
         # Tasks that were in flight when the pause began fail too: they do not prolong it.
         if self.reason and not self.over:
             return
+        # The task that tried the store after a pause has failed: the next pause is longer.
         if self.reason:
             self._seconds = min(2.0 * self._seconds, LONGEST_PAUSE)
         else:
             self._seconds = SHORTEST_PAUSE
         self._until = self._clock() + self._seconds
         self.reason = reason
-        # Nothing else happens during a pause, so a timer starts the next try.
+        # A timer starts the next try, as nothing else is sure to: tasks are handed out if a view
+        # asks for light or a task ends, and perhaps neither happens during the pause.
         self._timer = threading.Timer(self._seconds, self._resume)
         self._timer.daemon = True
         self._timer.start()
 
     def end(self) -> None:
-        """End the pause, as a task went well, or the baker stops."""
+        """End the pause, and forget a first failure, as a task has read the store, or the baker
+        stops.
+        """
         self.reason = ""
         self._stumbled = False
         if self._timer is not None:
@@ -550,7 +555,8 @@ class Baker:
             self._seconds += outcome.cost.seconds
             self._pace.spent(outcome.cost.seconds)
             self._done_chunks += 1
-            # A task that was sent no light has read the store, so the store is there.
+            # A task that was sent no light has read the store, so the store is there. One that was
+            # sent light has not, and shows nothing.
             if task.light is None:
                 self._pause.end()
             self._duplicate += outcome.duplicate

@@ -44,8 +44,8 @@ from isogi_worker.tasks import (
 )
 
 START_SECONDS = 120.0
-"""Seconds within which the first workers must be ready:
-the fork server imports and loads kernels first.
+"""Seconds that the start of the pool waits for each worker in turn.
+The first one is late, as the fork server imports code and loads kernels before it forks.
 """
 
 WELCOME_SECONDS = 0.1
@@ -351,7 +351,8 @@ class LocalPool:
         return LocalWorker(process, jobs, answers)
 
     def _welcome(self, worker: LocalWorker, stopped: threading.Event) -> None:
-        """Wait until a process takes jobs.
+        """Wait until a process says that it takes jobs, which it begins once it has loaded its
+        kernels.
 
         Raises EOFError if it ends before, TimeoutError after START_SECONDS, and WorkersAwayError
         once ``stopped`` is set.

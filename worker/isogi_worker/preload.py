@@ -19,6 +19,7 @@ def load_what_is_stored() -> None:
 
     The others are left to the workers, which compile them while the server tells users of it.
     """
+    # ``load`` would compile a kernel that is not stored, so leave those out.
     load(
         [
             entry

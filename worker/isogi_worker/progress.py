@@ -258,13 +258,21 @@ class Promise:
     def __init__(
         self, clock: Callable[[], float] = time.monotonic, forget: float = math.inf
     ) -> None:
-        """Begin without a report. Begin again after ``forget`` seconds without an estimate."""
+        """Begin without a report.
+
+        An estimate that comes more than ``forget`` seconds after the one before is reported as if
+        it were the first. ``clock`` returns seconds.
+        """
         self._clock = clock
         self._forget = forget
+        # The last report, the likely seconds of the estimate that it was made from, the time it was
+        # made, and the time at which it is over. The last three mean nothing before a report.
         self._told: TimeLeft | None = None
         self._estimate = 0.0
-        self._at = self._asked = clock()
+        self._at = clock()
         self._end = math.inf
+        # The time of the last estimate, which need not have been reported.
+        self._asked = self._at
 
     @property
     def now(self) -> TimeLeft | None:
@@ -299,7 +307,9 @@ class Promise:
         return due
 
     def _report(self, left: TimeLeft, estimate: float, latest: float) -> TimeLeft:
-        """Report ``left``. It is over in that time, or at ``latest`` if that is earlier."""
+        """Report ``left`` now, by an estimate of ``estimate`` likely seconds. The reported time is
+        over when it has passed, or at ``latest`` by the clock if that is earlier.
+        """
         self._told = left
         self._estimate = estimate
         self._at = self._asked

@@ -407,16 +407,16 @@ class BakeQueue:
         return ""
 
     def _add_for(self, request: BakeRequest, client: Hashable) -> None:
-        """Note a client's new interest.
+        """Note a client's new interest in a request, and rank the request.
 
-        Rank the request again for all clients if it has changed much, else only for this one.
+        It is ranked for all clients if it is new or has changed much, else only for this one.
         """
         self._interesting.setdefault(client, {}).pop(request.key, None)
         # Put the request at the end of the client's order, which is by the time of asking.
         self._interesting[client][request.key] = request
         lacking, priority = request.ranked
-        # It has got or lost first light, or gained much priority: its places in all queues are
-        # out of date.
+        # It has got or lost first light, or gained much priority, as a new one always has: its
+        # places in all queues are out of date.
         if bool(request.effort.unlit) != lacking or request.priority >= RERANK_GROWTH * priority:
             self._rank_everywhere(request)
         elif not request.in_flight:

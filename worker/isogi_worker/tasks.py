@@ -423,11 +423,14 @@ Outcome = BakeResult | Exception
 def bake_all(tasks: Sequence[BakeTask]) -> list[Outcome]:
     """Do tasks of one bake and goal together, so that the paths of their texels fill whole waves.
 
-    If that fails, do each task alone, so that a fault of one chunk harms no other.
+    A wave is the paths that a kernel advances together, up to WAVE_PATHS. If the tasks fail
+    together, do each alone, so that a fault of one chunk harms no other. A chunk that was written
+    before the failure gets the same light again: see ``bake_chunks``.
     """
     try:
         return [*bake_together(tasks)]
     except StoreAwayError as error:
+        # Each task alone would find the store away, too.
         return [error for _ in tasks]
     except Exception:
         return [outcome_of(task) for task in tasks]

@@ -178,6 +178,7 @@ class LightWriter:
         """Note the outcome of writing one chunk; return True if another writer was found at it."""
         index = fresh.chunk.index
         key = lit.like.digest, index
+        # A bool, of either value, means that the chunk is written: see ``Written``.
         if isinstance(outcome, bool):
             lit.light.written(fresh)
             self._failures.pop(key, None)

@@ -24,6 +24,7 @@ MAX_LAYERS_PER_SLICE = 8
 """Largest number of layers for each slice, if these are uneven."""
 
 Layers = tuple[tuple[tuple[Any, float, Packing], ...], ...]
+"""Place, weight and packing of each slice of each layer; a layer without slices is missing."""
 
 
 @dataclass(frozen=True)
@@ -50,9 +51,9 @@ class Slice:
 class Stack:
     """Layers from first to last: each is a weighted mean of slices, or empty if a slice is missing.
 
-    ``affine`` (3, 4) brings voxel indices to the patient's left, posterior, superior, None if that
-    is unknown. ``measured`` is True if the file gives lengths, ``between`` if some layer is
-    interpolated between slices.
+    ``affine`` (3, 4) brings voxel indices to the patient's left, posterior, superior, in mm; None
+    if that is unknown. ``measured`` is True if the file gives lengths: positions, or the steps
+    between pixels. ``between`` is True if some layer is interpolated between slices, or missing.
     """
 
     layers: Layers
@@ -164,7 +165,7 @@ def _placed(
         usual = float(heights[-1] - heights[0]) / (count - 1)
         layers = _mixed(slices, heights, heights[0] + usual * np.arange(count))
         notes.append(said.format(usual=usual))
-    return _stack(layers, first, last, usual, len(layers)), tuple(notes)
+    return _stack(layers, first, last, usual), tuple(notes)
 
 
 MAX_ODD_SHARE = 0.1
@@ -220,20 +221,24 @@ def _mixed(slices: list[Slice], heights: np.ndarray, at: np.ndarray) -> Layers:
     return tuple(layers)
 
 
-def _stack(layers: Layers, first: Slice, last: Slice, usual: float, count: int) -> Stack:
-    """Return the stack with its affine map: the step between layers follows the slices' positions,
-    tilted or not.
+def _stack(layers: Layers, first: Slice, last: Slice, usual: float) -> Stack:
+    """Return the stack of even ``layers`` from the ``first`` to the ``last`` slice, with its affine
+    map.
+
+    The step between layers leads from the first position to the last, tilted or not; that of a
+    single layer is ``usual``, in mm, along the normal. Pixels without steps are 1 mm wide.
     """
     x, y = first.pixel or (1.0, 1.0)
     pose = np.array(first.pose)
     origin = np.array(first.position)
-    if count > 1:
-        along = (np.array(last.position) - origin) / (count - 1)
+    if len(layers) > 1:
+        along = (np.array(last.position) - origin) / (len(layers) - 1)
     else:
         along = np.cross(pose[:3], pose[3:]) * usual
     affine = np.column_stack([pose[:3] * x, pose[3:] * y, along, origin])
-    mixed = any(len(layer) != 1 for layer in layers)
-    return Stack(layers, affine, (x, y, float(np.linalg.norm(along))), True, mixed)
+    # Values must then be floats: for means of two slices, and for the NaN of a missing layer.
+    mixed_or_missing = any(len(layer) != 1 for layer in layers)
+    return Stack(layers, affine, (x, y, float(np.linalg.norm(along))), True, mixed_or_missing)
 
 
 SEGMENT_TAGS = ("SegmentSequence", "SegmentationType", "MaximumFractionalValue")

@@ -302,8 +302,10 @@ def _is_in_space(data: Any) -> bool:
 
 
 def unchosen(source: Source, names: Sequence[str]) -> VolumeError:
-    """Return the error for a file of which no volume is chosen, or one that it does not have; its
-    volumes have ``names``.
+    """Return the error for a file that has no volume, or several if none of them is chosen, or not
+    exactly one of the name that is chosen.
+
+    The error lists the first eight of ``names``, the paths of all volumes in the file.
     """
     part = source.chosen.get("part")
     listed = ", ".join(f"'{source.name}#{name}'" for name in names[:8])

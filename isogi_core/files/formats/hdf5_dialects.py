@@ -26,10 +26,15 @@ from isogi_core.files.vector import triple
 
 @dataclass(frozen=True)
 class Said:
-    """What a file says of a data set: the roles of its ``axes``, as ``coordinates.role_of`` names
-    them, empty if it does not say; the place of its voxels and what in the file says that; how many
-    of its voxels count along z, y, x, others being padding; whether it is ``unsigned``; which step
-    in time it is, of how many, and whether nobody chose that one.
+    """The description of a data set in its file.
+
+    - ``axes``: their roles, as ``coordinates.role_of`` names them; empty if the file gives none.
+    - ``place``: that of its voxels; ``placed``: name of the entries of the file that give it.
+    - ``shape``: number of voxels along z, y, x that count, if others are padding.
+    - ``unsigned``: True if whole numbers are to be read without a sign.
+    - ``notes``: sentences for the grid.
+    - ``moment``: its step in time, and the number of steps; ``unchosen``: True if nobody chose that
+      step.
     """
 
     axes: tuple[str, ...] = ()
@@ -93,7 +98,9 @@ def choose_vtk(source: Source, whole: Any) -> Any:
 
 
 def describe_vtk(source: Source, data: Any) -> Said | None:
-    """Place an array of a VTKHDF image; values of cells lie in the middle of these."""
+    """Place an array of a VTKHDF image, of which the first of four axes is taken as time; values of
+    cells lie in the middle of these. None for an array outside of the group VTKHDF.
+    """
     parts = data.name.strip("/").split("/")
     if parts[0] != VTK_GROUP:
         return None
@@ -104,9 +111,12 @@ def describe_vtk(source: Source, data: Any) -> Said | None:
     extent = floats(group, "WholeExtent", 6)
     matrix = np.eye(3) if turn is None else turn.reshape(3, 3)
     matrix = matrix * (np.ones(3) if spacing is None else spacing)
+    # Indices begin at the lower ends of the extent; the first cell's middle is half a step further.
     first = np.zeros(3) if extent is None else extent[::2]
-    first = first + 0.5 * ("CellData" in parts)
+    if "CellData" in parts:
+        first = first + 0.5
     start = (np.zeros(3) if origin is None else origin) + matrix @ first
+    # The roles of more than four axes are left open.
     roles = ("t",) * (data.ndim - 3) + ("z", "y", "x")
     return Said(roles if data.ndim <= 4 else (), placed(matrix, start), "its spacing and origin")
 

@@ -495,9 +495,9 @@ def open_nrrd(source: Source) -> Grid:
         header = read_header(source, file)
         layout = layout_of(source, header)
         dtype = number_type(source.name, header)
-        with _data(source, header, file) as parts:
+        with _data_files(source, header, file) as parts:
             files = [Path(part.name) for part in parts if part is not file and source.path]
-            cut = _cut_notes(source, header, parts, layout.numbers * dtype.itemsize)
+            cut = _notes_on_lost_checksums(source, header, parts, layout.numbers * dtype.itemsize)
     return Grid(
         layout.shape,
         np.dtype(np.float32) if layout.number is None else dtype,
@@ -569,7 +569,7 @@ def _slabs(source: Source) -> Iterator[np.ndarray]:
         header = read_header(source, file)
         layout = layout_of(source, header)
         dtype = number_type(source.name, header)
-        with _data(source, header, file) as parts:
+        with _data_files(source, header, file) as parts:
             size = layout.numbers * dtype.itemsize
             blocks = (
                 block
@@ -624,15 +624,18 @@ def _readable(source: Source) -> Iterator[None]:
 
 
 @contextmanager
-def _data(source: Source, header: Header, file: IO[bytes]) -> Iterator[list[IO[bytes]]]:
-    """Yield the files with the voxels: ``file``, which is at the byte after the header, or the
-    header's data files.
+def _data_files(source: Source, header: Header, file: IO[bytes]) -> Iterator[list[IO[bytes]]]:
+    """Open the files with the voxels, and yield them as one list, in the order of the voxels.
+
+    The list is ``[file]``, at the byte after the header, if the header names no data files. The
+    files that it names are in the folder of the header: on the disk, or in the same archive.
     """
     names = data_names(source, header)
     if names is None:
         yield [file]
         return
     with ExitStack() as opened:
+        # An upload has neither a member nor a path: ``data_names`` refused it.
         if source.member is not None:
             beside = [source.at(source.member.parent / name) for name in names]
             yield [opened.enter_context(each.open()) for each in beside]
@@ -652,8 +655,8 @@ def _beside(folder: Path, name: str) -> Path:
 
 
 def _decoded_bytes(name: str, header: Header, file: IO[bytes], size: int) -> Iterator[bytes]:
-    """Yield ``size`` bytes after line skip, decoding and byte skip. Raises VolumeError if there are
-    fewer or more.
+    """Yield the ``size`` bytes of voxels of a data file, in blocks: those after line skip, decoding
+    and byte skip. Raises VolumeError after the last block if there are fewer or more.
     """
     encoding = header["encoding"].lower()
     passed = 0
@@ -661,10 +664,10 @@ def _decoded_bytes(name: str, header: Header, file: IO[bytes], size: int) -> Ite
         raise VolumeError(
             f"'{name}' has encoding '{encoding}': save it as raw, gzip, bzip2 or text."
         )
-    before = _skip_lines(name, header, file, size)
+    byte_skip = _skip_lines(name, header, file, size)
     try:
         stream = _decoded(encoding, file)
-        skip(stream, before)
+        skip(stream, byte_skip)
         dtype = number_type(name, header)
         if encoding in TEXT_ENCODINGS:
             blocks = _written_out(name, stream, dtype)
@@ -672,7 +675,10 @@ def _decoded_bytes(name: str, header: Header, file: IO[bytes], size: int) -> Ite
             blocks = _blocks(stream, size)
         for block in blocks:
             passed += len(block)
-            yield block[: size - passed] if passed > size else block
+            # Text may hold more numbers than are needed: cut the surplus off the block's end.
+            surplus = passed - size
+            yield block[:-surplus] if surplus > 0 else block
+        # Try to read one byte more, which shows that the file is too long.
         passed += read_end(stream)
     except PACKING_DAMAGE as error:
         raise VolumeError(
@@ -722,26 +728,33 @@ def _header_numbers(name: str, words: list[bytes], dtype: np.dtype[Any]) -> byte
         ) from error
 
 
-def _cut_notes(
+def _notes_on_lost_checksums(
     source: Source, header: Header, parts: list[IO[bytes]], size: int
 ) -> tuple[str, ...]:
-    """Return notes on the ends of packed files: see ``cut_notes``."""
+    """Return a note if a gzip file of the data files ``parts`` ends before its checksum, though all
+    voxels are there; ``size`` bytes are those of all parts, decoded.
+
+    There is none for other encodings: bzip2 files that end early are refused as damaged.
+    """
     if header["encoding"].lower() not in _GZIP:
         return ()
     each = size // len(parts)
+    # Several parts may have the same note: keep it once.
     notes = dict[str, None]()
     for part in parts:
         start = part.tell()
-        before = _skip_lines(source.name, header, part, each)
-        notes |= dict.fromkeys(cut_notes(part, before + each))
+        byte_skip = _skip_lines(source.name, header, part, each)
+        notes |= dict.fromkeys(cut_notes(part, byte_skip + each))
         part.seek(start)
     return tuple(notes)
 
 
 def _skip_lines(name: str, header: Header, file: IO[bytes], size: int) -> int:
-    """Skip the header's lines; returns the decoded bytes that are still to be skipped.
+    """Skip as many lines of a data file as the header says, and return the byte skip: the number of
+    decoded bytes before the voxels.
 
     A byte skip of -1 (raw data only) means that the voxels are the file's last ``size`` bytes.
+    Raises VolumeError for other negative numbers.
     """
     lines, count = (
         int(header.get(f"{what} skip") or header.get(f"{what}skip") or 0)

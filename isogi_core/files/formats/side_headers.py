@@ -79,8 +79,10 @@ def sizes(source: Source, keys: Keys, name: str) -> Shape:
 
 
 def kind_of(source: Source, keys: Keys, name: str, known: Mapping[str, str]) -> str:
-    """Read the type of numbers of a header, by the names ``known`` in small letters. Raises
-    VolumeError.
+    """Return the code of the type of numbers that a header gives under the key ``name``.
+
+    ``known`` has the code, such as "u1", for each word of the format, in small letters. Raises
+    VolumeError, which lists them, for any other word.
     """
     given = keys.get(name, "").strip("\"' ").lower()
     if given not in known:
@@ -192,6 +194,7 @@ VGI_TYPES = {
     "integer": "i",
     "float": "f",
 }
+"""Letters of NumPy's types; another entry of VGI gives the bits of a number."""
 
 
 @reader("VGI")

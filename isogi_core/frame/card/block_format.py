@@ -197,21 +197,24 @@ def pack(
     """Yield the block of each of the ``chunks``, of a ``kind``, from the ``normals`` (m, 3) and the
     ``values`` (m, n) of all their texels: light, transfer or its codes, as the kind has it.
     """
-    # Sort the records of all chunks together, and put the mean of each brick behind its texels. A
-    # card takes the mean in place of a texel that is not there.
+    # Sort the texels of all chunks at once, by chunk and brick, and put a record with the mean of
+    # each brick behind its texels. A card takes the mean in place of a texel that is not there.
     order = order_texels(chunks.texels)
     grade, found = with_means(order, chunks.reading.grade, np.column_stack([normals, values]))
     words = words_of(found[:, :3], grade)
     numbers = found[:, 3:]
-    # Each brick before one moves its first record by a mean.
+    # A brick begins at the position of its first texel, plus one mean for each brick before. The
+    # number of all records is the end of the last brick.
     firsts = order.begins + np.arange(len(order.begins))
+    bounds = np.append(firsts, len(words)).tolist()
     owners = {index: number for number, index in enumerate(chunks.texels.chunks)}
-    # Cut out the bricks and records of each chunk; a chunk without texels has none.
-    ends = np.append(firsts, len(words)).tolist()
+    # Cut out the bricks a to b - 1 of each chunk, and their records; a chunk without texels has
+    # none.
     for index, version in zip(chunks.chunks, chunks.versions, strict=True):
         number = owners.get(index, -1)
         a, b = np.searchsorted(order.owners, [number, number + 1]).tolist()
-        first, last = ends[a], ends[b]
+        first, last = bounds[a], bounds[b]
+        # Bricks name their first records by places in the block.
         bricks = np.zeros(b - a, BRICK)
         bricks["mask"] = order.masks[a:b]
         bricks["place"] = order.places[a:b]

@@ -144,20 +144,22 @@ class ControlPictures:
         return Control(view, gbuffer, ControlPixels(places, np.ones(len(places)), halves))
 
     def measure(self, coding: Coding) -> TotalError:
-        """Return the error of all pictures with the light that there is now, in a ``coding``,
-        relative to the light of each.
+        """Return one total error of all pictures, drawn from the light that there is now in a
+        ``coding``.
 
-        Raises the errors of ``Loader.ensure``.
+        The errors of each picture are relative to its own mean luminance. There is at least one
+        picture. Raises the errors of ``Loader.ensure``.
         """
         squares = []
         for number, each in enumerate(self._controls):
             squares.append(self._squares(each, coding))
             self._report(number + 1)
+        # The squares are relative to the light already, so the mean luminance is 1.
         return measure_total(np.concatenate(squares), 1.0)
 
     def _squares(self, control: Control, coding: Coding) -> np.ndarray:
-        """Return the squared errors of a picture's control pixels, relative to the square of its
-        mean light, so that those of several pictures can be averaged; (k,).
+        """Return the squared errors of a picture's control pixels over the square of its true mean
+        luminance, so that those of several pictures can be averaged; (k,).
         """
         framebuffer = draw_coded(self._renderer, control.view, coding, self._goal)
         picture = framebuffer.radiance[control.gbuffer.pixels] @ LUMINANCE_WEIGHTS

@@ -105,21 +105,23 @@ class Plan:
         return work
 
     def ahead(self, first: float, last: float) -> "Ahead":
-        """Return the work that follows the next rung, or the pixels whose light is traced next.
+        """Return the work that is left after the next step of the plan: after its first rung, or
+        after the light of its pixels if it has no rungs.
 
         ``first`` is the number of paths of the controls on each rung, ``last`` that of all controls
         at the end.
         """
         if not self.rungs:
             return Ahead(last, times=1)
+        # Each rung is drawn and measured, and the picture with the light of pixels once more.
         pixels = self.choice.paths + self.rungs * first + last
         return Ahead(pixels, self.texel_paths - self.next, self.rungs + 1)
 
 
 class Ahead(NamedTuple):
-    """Work that a picture is expected to need besides the samples that its texels are to have
-    now: paths of ``pixels``, controls among them, and of ``texels``. The picture is drawn
-    ``times`` times on the way.
+    """Work that a picture is expected to need after the step that is under way: numbers of paths of
+    ``pixels``, controls among them, and of ``texels``. The picture is drawn ``times`` times on the
+    way.
     """
 
     pixels: float = 0.0

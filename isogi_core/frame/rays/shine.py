@@ -342,14 +342,15 @@ def trace_shine(
     bounces: int,
     tiles: Tiles,
 ) -> np.ndarray:
-    """Return sums of the light that shine brings to each point, by whole paths: rays of all
-    ``samples``, and a path from each end; (points, replicas, 3) float64.
+    """Return the light that shine brings to each point, by whole paths, as sums over the
+    ``samples`` of each of the ``replicas``; (points, replicas, 3) float64 linear RGB.
 
-    Raises Cancelled.
+    A sample is a ray, and a path of at most ``bounces`` bounces from its end. The caller divides
+    the sums by the number of samples. Raises Cancelled.
     """
     rays = cast_rays(light, gbuffer, replicas, samples, tiles)
-    seen = paths_from(rays, np.arange(len(rays.seen)), light, bounces, tiles)
-    return rays.gather(seen).reshape(-1, len(replicas), len(samples), 3).sum(axis=2)
+    leaving = paths_from(rays, np.arange(len(rays.seen)), light, bounces, tiles)
+    return rays.gather(leaving).reshape(-1, len(replicas), len(samples), 3).sum(axis=2)
 
 
 def add_shine(

@@ -271,14 +271,19 @@ class WallView:
         return sum(int(self.counts[wall]) for wall, final in finals.items() if not final)
 
     def _table(self, texels: Sequence[WallTexels], finals: dict[int, bool]) -> WallTable:
-        """Return the texels as kernels take them, with the state of each wall."""
+        """Return the table of the ``texels`` of walls that kernels take, with the state of each
+        wall: ``finals`` has True for the number of a wall that is at its target.
+
+        Walls without texels keep zeros.
+        """
         light = [each.leaving for each in texels]
         count = len(self.light.spec.prepared.scene.lighting.room.walls)
         firsts, rows, columns = np.zeros((3, count), np.int64)
         states = np.zeros(count, np.uint8)
-        ends = np.cumsum([0, *map(len, light)])
         # The texels of all walls are in one array; the table tells where those of each wall begin.
-        for each, first in zip(texels, ends, strict=False):
+        # The last number is the length of the array, and belongs to no wall.
+        begins = np.cumsum([0, *map(len, light)])
+        for each, first in zip(texels, begins, strict=False):
             k = each.wall
             firsts[k] = first
             (rows[k], columns[k]) = each.settled.shape
@@ -340,8 +345,11 @@ class WallView:
     def put_locally(
         self, shading: str, depths: tuple[float, float], framebuffer: Framebuffer, tiles: Tiles
     ) -> None:
-        """Shade the walls in a picture by a local model, with shadows of the surface. Raises
-        Cancelled.
+        """Shade the walls in a picture by the local model that ``shading`` names, with the shadows
+        that the surface casts on them if the model has any.
+
+        ``depths`` are the world depths at which the model's fog begins and is thick. All pixels of
+        walls become final. Raises Cancelled.
         """
         walls = self.gbuffer.walls
         gbuffer = self.gbuffer
@@ -354,6 +362,7 @@ class WallView:
             rows = np.flatnonzero(walls.numbers == number)
             model = self.light.local_model(shading, depths, np.array(room.walls[number].albedo))
             some = shown.part(rows)
+            # ``shade_local`` reads this for models with shadow alone.
             reached = np.empty(len(rows), np.bool_)
             if model.shadow:
                 find_shadows(traced, some, model.key, reached)

@@ -63,8 +63,9 @@ class Part:
 class ComposedFrame(Frame):
     """A frame that is composed of ``parts``, one for each side of a surface that is seen.
 
-    A pixel has the least state of all that it shows; errors add up by their weights. ``aim`` is the
-    target of the picture; None if it is not checked.
+    A pixel has the least state of all that it shows; errors add up by their weights. ``aim`` is
+    stored for the property ``target``, which frames of one surface compute; None if the picture is
+    not checked.
     """
 
     parts: tuple[Part, ...] = ()
@@ -246,13 +247,15 @@ def compose(
     # Add up light and errors of all layers of each pixel.
     lit, state = summed(view, parts)
     error = summed_errors([(part, part.frame.error) for part in parts], lit)
-    # Faces of a window hide all that is behind them.
+    # Faces of a window hide all that is behind them: paint them over light, state and error, which
+    # the framebuffer views.
     if len(peels.first.faces.pixels):
         paint_faces(
             peels.first,
             scene,
             Framebuffer(lit.reshape(-1, 3), state.reshape(-1), error.reshape(-1)),
         )
+    # Control pixels check only pictures of this shading at rest; others have no target.
     checked = view.shading == "gi" and not view.moving
     # Name the picture by the versions of its parts.
     versions = repr([(part.side, part.frame.version) for part in parts]) + repr(view)
@@ -270,10 +273,10 @@ def compose(
         lit,
         state,
         error,
-        peels.first,
-        version,
-        watch.seconds,
-        quality,
+        gbuffer=peels.first,
+        version=version,
+        seconds=watch.seconds,
+        quality=quality,
         left=peels.left,
         parts=tuple(parts),
         aim=target if checked else None,

@@ -232,12 +232,12 @@ def expected(texels, s, ratio, reflected):
 
 @kernel()
 def differences(texels, found, weights, count, ratio, reflected):
-    """Return weighted sums over a texel's neighbours: of the variance of their light beyond noise,
-    of their noise, and of the weights.
+    """Return three sums over a texel's ``count`` neighbours: of squared differences beyond noise,
+    at least 0; of noise; and of the ``weights``, by which both are weighted.
 
-    The variance is that of the luminance about the ``expected`` light; the part that noise explains
-    is subtracted. The noise is the mean over all neighbours, as a few paths may agree by chance and
-    show none.
+    A difference is that of a neighbour's luminance from its ``expected`` light. The noise is the
+    variance of its luminance. Noise is summed over all neighbours before it is subtracted, as the
+    few paths of one neighbour may agree by chance and show none.
     """
     scatter = ZERO_F32
     noise = ZERO_F32

@@ -13,7 +13,7 @@ from isogi_core.kernels._jit import kernel, record
 PROVISIONAL = 1
 CONVERGING = 2
 FINAL = 3
-"""States of a pixel that shows the surface; 0 if it shows none."""
+"""States of a pixel that shows a surface, a wall or a face of the window; 0 if it shows none."""
 
 RED_LUMINANCE = np.float32(0.2126)
 GREEN_LUMINANCE = np.float32(0.7152)
@@ -53,8 +53,8 @@ def put_pixel(framebuffer, pixel, light, state, error):
 
 @kernel(types.void(FRAMEBUFFER, types.int64[::1], types.float64[::1]))
 def tally(framebuffer, counts, sums):
-    """Add up the surface pixels: ``counts`` (4,) by state, ``sums`` (2,) of luminance and of
-    (luminance · error)².
+    """Add the pixels to ``counts`` (4,), by state; add luminance and (luminance · error)² of those
+    with a state above 0 to ``sums`` (2,).
     """
     for i in range(framebuffer.state.shape[0]):
         counts[framebuffer.state[i]] += 1
@@ -153,7 +153,8 @@ def develop_rows(radiance, state, first, exposure, colours, overlay, curve, pict
     (rows, w).
 
     ``first`` is the number of the first row in the whole picture. ``colours`` (2, 3), linear, are
-    the background and the overlay's mark; ``curve`` is sRGB as a table of uint8.
+    the background, which pixels of the state 0 show as it is, and the overlay's mark. ``curve`` is
+    the table of ``fill_curve``, sRGB codes of linear levels from 0 to 1.
     """
     rows, width = state.shape
     top = curve.shape[0] - 1

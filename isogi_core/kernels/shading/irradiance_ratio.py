@@ -118,15 +118,18 @@ def fill_records(grade, lit, normals, unshadowed, whole, texels):
     """Fill the records ``texels`` (m, RECORD_LENGTH) from the ``grade`` (m,), the light ``lit`` (m,
     LIGHT_NUMBERS) of ``light_texels``, and the ``normals`` (m, 3) that it arrives about.
 
-    Unshadowed light stands in for texels that are not baked; void and buried texels have none. If
-    light is kept as a ``whole``, direct and reflected together, at most the unshadowed light counts
-    as direct. Otherwise texels that face away from a lamp would pass their reflected light on as a
-    ratio, and pixels that face the lamp would show many times of it.
+    All records get the unshadowed light about their normals. It is also the direct light of texels
+    that are not baked; void and buried texels have no direct light.
+
+    If light is kept as a ``whole``, direct and reflected together, at most the unshadowed light
+    counts as direct. Otherwise texels that face away from a lamp would pass their reflected light
+    on as a ratio, and pixels that face the lamp would show many times of it.
     """
     for t in range(grade.shape[0]):
         x, y, z = normals[t, 0], normals[t, 1], normals[t, 2]
         under = unshadowed_light(unshadowed, x, y, z)
-        # Split the light into direct and reflected light.
+        # Split the light into direct and reflected light. Columns 4 to 6 of ``lit`` hold the part
+        # that is known to be reflected; of a whole, the excess over unshadowed light counts, too.
         there = PARTIAL_GRADE <= grade[t] <= FINAL
         unbaked = grade[t] == UNBAKED_GRADE
         for c in range(3):

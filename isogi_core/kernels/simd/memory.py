@@ -238,12 +238,17 @@ def _gather(
 def _gather_part(
     builder: ir.IRBuilder, kind: Vector, base: ir.Value, index: ir.Value, first: int, width: int
 ) -> ir.Value:
-    """Gather one register by AVX-512's instruction."""
+    """Emit AVX-512's gather of one register: ``width`` elements at the indices in lanes ``first``
+    to ``first`` + ``width`` - 1 of ``index``.
+
+    A register of results of the vector type ``kind`` has 16 elements of 32 bits, or 8 of 64 bits.
+    """
     part = ir.VectorType(ELEMENTS[kind.number], width)
     letters = {types.float32: "ps", types.float64: "pd", types.int32: "pi"}[kind.number]
     every = ir.Constant(ir.VectorType(BIT_TYPE, width), [1] * width)
-    # The instruction takes a register of 32-bit indices, scaled to bytes, and a mask of the lanes
-    # to load.
+    # The instruction takes the result of lanes that are not loaded (none here), a pointer, a 32-bit
+    # index for each lane, a mask of the lanes to load, and the bytes of an element. Its name has a
+    # "d" for 32-bit indices, and the letters of the elements.
     places = builder.shuffle_vector(index, index, consecutive(first, first + width))
     pointer = builder.bitcast(base, BYTE_TYPE.as_pointer())
     arguments = (

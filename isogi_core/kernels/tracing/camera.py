@@ -122,7 +122,8 @@ def cast_through(surface, window, eye, directions, t, met):
     """Cast rays in ``directions`` (3, n) from the ``eye`` through a ``window``; fill distances
     ``t`` (n,), infinite for misses.
 
-    ``met`` (n,) is WINDOW_FACE for hits on a face of the window, else NO_WALL.
+    ``met`` (n,) is WINDOW_FACE for hits on a face of the window, and NO_WALL for hits on the
+    isosurface and for misses.
     """
     count = t.shape[0]
     origins = np.empty((3, count))
@@ -153,10 +154,11 @@ def cast_through(surface, window, eye, directions, t, met):
 
 @kernel()
 def cast_sight(surface, sight, eye, directions, t, met):
-    """Cast rays from the ``eye``; fill distances ``t`` (n,) and ``met`` (n,), the walls that they
-    hit or values of ``cast_through``.
+    """Cast rays in ``directions`` (3, n) from the ``eye``; fill distances ``t`` (n,), infinite for
+    misses.
 
-    Windows do not cut walls.
+    ``met`` (n,) is the number of the wall that a ray hits first, WINDOW_FACE for a face of the
+    window, and NO_WALL for the isosurface and for misses. Windows do not cut walls.
     """
     # Find the surface, then walls before it: a vector of rays at a time, and the rest one by one.
     cast_through(surface, sight.window, eye, directions, t, met)
@@ -181,12 +183,14 @@ SEEN_COUNTS = types.UniTuple(types.int64, 2)
     )
 )
 def trace_pixels(surface, sight, camera, first, width, pixels, points, numbers):
-    """Cast the rays of the picture's pixels ``first`` to ``first`` + n, row by row.
+    """Cast the rays of n pixels of a picture, ``first`` to ``first`` + n - 1, counted row by row;
+    the length of the outputs gives n.
 
-    Returns how many pixels show the surface, and how many show walls or faces of the window. Pixel
-    numbers go to ``pixels`` (2, n), ascending, and index-space points to ``points`` (2, n, 3):
-    those of the surface to the first row, those of walls and faces to the second one, with the
-    wall's number or WINDOW_FACE in ``numbers`` (n,).
+    Returns the number of pixels that show the isosurface, and that of pixels that show walls or
+    faces of the window. Pixel numbers go to ``pixels`` (2, n), ascending, and index-space points to
+    ``points`` (2, n, 3): those of the isosurface to the first row, those of walls and faces to the
+    second one, with the wall's number or WINDOW_FACE in ``numbers`` (n,). Pixels that show nothing
+    are left out.
     """
     count = pixels.shape[1]
     directions = np.empty((3, count))
@@ -198,7 +202,8 @@ def trace_pixels(surface, sight, camera, first, width, pixels, points, numbers):
         put_column(directions, i, pixel_ray(camera, x + 0.5, y + 0.5))
     cast_sight(surface, sight, camera.eye, directions, t, met)
     hits = others = 0
-    # Sort the hits into those on the surface and those on walls and faces.
+    # Sort the hits into those on the isosurface and those on walls and faces. NO_WALL stands for
+    # misses, too, whose distance is infinite.
     for i in range(count):
         if met[i] == NO_WALL:
             kind = 0

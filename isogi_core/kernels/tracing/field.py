@@ -185,8 +185,11 @@ def blend_cube(voxels, cell, weights, slopes):
 
 @kernel(exact=True)
 def smooth_gradient(voxels, p):
-    """Return the gradient of the field smoothed with the tricubic B-spline over 4×4×4 voxels,
-    per voxel step (S1, section 4.1.1 and figure 5).
+    """Return the gradient of the smoothed field at ``p`` (index space), per voxel step along x, y,
+    z (S1, section 4.1.1 and figure 5).
+
+    The smoothed field is the tricubic B-spline with the voxels, 4×4×4 of them at each point, as its
+    coefficients. It does not pass through their values.
     """
     nz, ny, nx = voxels.shape
     i, j, k = clamp_cell(p[0], nx), clamp_cell(p[1], ny), clamp_cell(p[2], nz)

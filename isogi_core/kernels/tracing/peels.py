@@ -148,7 +148,8 @@ def leave_cells(shells, crossings, k, eye, directions, some):
         t, side, leave = rest_of_cell(
             shells.field, shells.isovalues[k], o, column(directions, i), -came
         )
-        # Go to a second crossing in the cell, or to its exit, on the side found there.
+        # Go to a second crossing in the cell, or to its exit. There ``came`` becomes the opposite
+        # of the side at the exit, as ``cast_to_next`` starts on the opposite of ``came``.
         crosses = t < math.inf
         seen = put_crossing(crossings, k, i, t if crosses else leave, side if crosses else -side)
         some[count] = i
@@ -158,21 +159,27 @@ def leave_cells(shells, crossings, k, eye, directions, some):
 
 @kernel()
 def cast_to_next(shells, crossings, k, eye, directions, some):
-    """Replace the crossings of ``some`` rays (m,) with surface ``k`` by the next ones."""
+    """Move ``some`` rays (m,) on to their next crossings with surface ``k``, from the points at
+    which their ``crossings`` are.
+
+    Such a point is a crossing, the exit of a cell (see ``leave_cells``), or the first visible point
+    of the ray. The ray leaves it on the side opposite of ``came``; UNKNOWN_SIDE is its own
+    opposite.
+    """
     n = some.shape[0]
     rays = Rays(
         np.full(n, shells.isovalues[k]), np.empty((3, n)), np.empty((3, n)), np.empty(n, np.int8)
     )
     t = np.empty(n)
     came = np.empty(n, np.int8)
-    # Start each ray at its crossing, on the surface's other side.
+    # Start each ray at its point, on the known side: it does not find the crossing there again.
     for j in range(n):
         i = some[j]
         d = column(directions, i)
         put_column(rays.origins, j, madd(eye, crossings.t[k, i], d))
         put_column(rays.directions, j, d)
         rays.sides[j] = -crossings.came[k, i]
-    # Add the distances to those from the eye.
+    # Add the distances from there to those from the eye.
     cast_batch(shells.field, shells.cells[k], rays, t, came)
     for j in range(n):
         put_crossing(crossings, k, some[j], t[j], came[j])
@@ -219,8 +226,8 @@ def first_crossings(shells, sight, eye, directions, layers, left):
             layers.t[0, i] = near
             layers.weights[0, i] = 1.0
             left[i] = 0.0
-    # Cast the rays at each surface that can be seen, from the window on. They start on no surface:
-    # their sides are UNKNOWN_SIDE, which is its opposite, too.
+    # Cast the rays at each surface that can be seen, from the window on. They start on no surface,
+    # so their sides are UNKNOWN_SIDE.
     for k in range(s):
         if shells.clears[k] < 1.0:
             cast_to_next(shells, crossings, k, eye, directions, every)

@@ -54,11 +54,13 @@ def open_by_size(ranks, order, shape, least, parents):
     """Fill ``parents`` with the place of the voxel whose value each voxel takes, so that each
     connected piece above any level has at least ``least`` voxels.
 
-    ``order`` lists the places of the voxels that are no holes, flat, the highest first; ``ranks``
-    ascend with values. Voxels are joined as the level falls: a piece that is still too small when
-    it meets another takes the value at which both together are large enough. Voxels that share a
-    corner are neighbours. Meanwhile the parent of a root is minus the number of voxels of its
-    piece.
+    ``order`` lists the places of the voxels that are no holes, flat, the highest first. High means
+    solid: if values below the isovalue are solid, the voxel of the lowest value comes first.
+    ``ranks`` fall along ``order``, and are equal for equal values.
+
+    Voxels are joined as the level falls: a piece that is still too small when it meets another
+    takes the value at which both together are large enough. Voxels that share a corner are
+    neighbours. Meanwhile the parent of a root is minus the number of voxels of its piece.
     """
     nz, ny, nx = shape
     parents[:] = NOT_SEEN

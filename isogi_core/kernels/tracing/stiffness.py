@@ -173,11 +173,14 @@ def thin(voxels, p, d, level):
 @kernel(exact=True)
 def leave_plateau(field, p, n):
     """Return the point at which a texel at ``p`` with the normal ``n``, not zero, is lit: (point,
-    normal, isovalue).
+    normal, float32 isovalue).
 
-    The result is ``p`` on the isosurface through it, a float32, unless it is at the edge of a
-    plateau. If there is no isosurface half-way nearby, a texel at the foot of the plateau keeps its
-    place, and one on top gets the normal (0, 0, 0): it has no side, as in a thin wall.
+    Point and normal are ``p`` and ``n``, and the isovalue is the field's value there, unless ``p``
+    is at the edge of a plateau. Then the point lies on the isosurface half-way between the extremes
+    nearby: from the top of the plateau down the slope, from its foot up.
+
+    If that isosurface is not within MAX_SHIFT_VOXELS, a texel at the foot keeps its place, and one
+    on top gets the normal (0, 0, 0), as it has no side. So does one on top of a ``thin`` wall.
     """
     here = np.float32(value(field.voxels, p))
     low, high, _ = value_span(field.voxels, p)
@@ -195,6 +198,7 @@ def leave_plateau(field, p, n):
     if t < math.inf:
         there = point_within(field.voxels.shape, p, d, t)
         return there, normal(field, there), level
+    # Take the normal from a texel on top, which makes it void; leave one at the foot as it is.
     return p, (0.0, 0.0, 0.0) if top else n, here
 
 

@@ -56,7 +56,8 @@ class Wave(NamedTuple):
     - ``sides``, ``signs``: side of the surface that the next ray starts on, as int8 and as float64.
     - ``t``, ``came``: distance to the intersection, infinite if there is none, and the side that
       the ray arrives on.
-    - ``hits``, ``escaped``: places of the rays that hit the surface, and of those that escape.
+    - ``hits``, ``escaped``: places of the rays that hit something, after Russian roulette of those
+      whose paths continue; and of the rays that escape.
     - ``directions``, ``ways``: ray directions in index space and in world space.
     - ``weights``: scratch space of ``gradients``.
     """
@@ -238,15 +239,18 @@ def russian_roulette(wave, hits, bounce, survival):
 
 @kernel()
 def compact(wave, vertices, following):
-    """Move the paths that hit something to the first places,
-    and their vertices to ``following``.
+    """Move the paths that continue to the first places, and write their hit points to
+    ``following``, as vertices without normals.
+
+    The first ``following.count`` of ``wave.hits`` are the places of these paths, ascending.
+    Directions and ``t`` stay where they are: later stages read them through ``wave.hits``.
     """
     count = vertices.count
     hits = following.count
     origins = columns(vertices.points, count)
     directions = columns(wave.directions, count)
     points = columns(following.points, hits)
-    # A place is read before it is written, as hits are in ascending order: i >= h.
+    # Each place i is read before it is written: as hits ascend, i >= h.
     for h in range(hits):
         i = wave.hits[h]
         put_column(points, h, madd(column(origins, i), wave.t[i], column(directions, i)))

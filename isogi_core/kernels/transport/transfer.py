@@ -201,8 +201,9 @@ def project_ends(ends, carried, rules, orders, starts, samples, sums):
     """Add the ends of ``trace_ends`` to ``sums`` (channels, …), each with its weight by
     ``count_ends``.
 
-    ``samples`` are the samples that each of the ``starts`` took, and the room for samples. Source:
-    S1, eq. 8 with cosine-distributed directions, τ_i = Σ R^k Y_i(ω) / N.
+    ``samples`` are the samples that each of the ``starts`` took, and the room for samples. The
+    caller divides by the number N of all samples. Source: S1, eq. 8 with cosine-distributed
+    directions, τ_i = Σ R^k Y_i(ω) / N.
     """
     counts = np.zeros(ends.bounces.shape[0] + PATH_WIDTH)
     for c in range(sums.shape[0]):
@@ -427,8 +428,10 @@ def carry_along(scene, wave, count, ends):
 
 @kernel()
 def count_path(rules, row, bounces, carried, m):
-    """Return the weight of path ``m`` that left after its ``bounces`` in a ``row`` of sums; 0
-    if it never left.
+    """Return the weight in a ``row`` of sums of path ``m``, which left after ``bounces``; 0 if it
+    never left (-1), or if entry m is no path (NO_PATH).
+
+    ``carried`` (3, paths) holds the product of albedos over the probability to get there.
     """
     if bounces <= 0:
         if bounces == 0:
@@ -465,8 +468,8 @@ def bake_coloured_texels(field, cells, colours, place, rows, samples, rules, sum
     """Add transfer samples on a surface with ``colours``: ``bake_texels`` by ColouredRules, with
     the same paths.
 
-    Adds to ``sums`` (m, 2, r, n²): τ_i = Σ (Π R(x_j)) Y_i(ω) / N over the points x_j that a path
-    hits.
+    Adds Σ (Π R(x_j)) Y_i(ω) over all paths to ``sums`` (m, 2, r, n²), with the points x_j that a
+    path hits; divided by the number of samples it is τ_i.
     """
     bake_rows(Coloured(field, cells, colours), place, rows, samples, rules, rules.orders, sums)
 

@@ -3,9 +3,10 @@ voxels of the scene's volume.
 
 Colours of labels: each place has the two labels of greatest weight around it, so that seams between
 labels are smooth. Labels are weighted by the Gaussian that smooths their field, whose surface is
-theirs. Frames and paths interpolate the shares of both labels and take the colour of the greatest
-(``label_albedo``): where two labels touch, the colour changes on a surface as smooth as the visible
-one, and no third label appears between them.
+theirs; if places lie several voxels apart, the Gaussian is as many times wider. Frames and paths
+interpolate the shares of both labels and take the colour of the greatest (``label_albedo``): where
+two labels touch, the colour changes on a surface as smooth as the visible one, and no third label
+appears between them.
 """
 
 import math
@@ -391,8 +392,11 @@ MIDDLE_WEIGHT = 1024
 def colours_of_labels(
     listed: tuple[LabelTable, ...], settings: Settings, volume: Volume
 ) -> SurfaceColours:
-    """Return the colours of a scene's ``volume``, a segmentation with the ``listed`` labels.
-    Raises SceneError and VolumeError.
+    """Return the colours of a scene whose file is a segmentation, with the ``listed`` labels.
+
+    The labels are read from the file again: the ``volume`` holds the smooth field that was made
+    from them. Raises VolumeError if the file has another shape than the ``volume`` by now, and
+    SceneError or VolumeError if its labels cannot be shown.
     """
     grid, straight = volume_grids(settings, volume)
     if straight.shape != volume.shape:
@@ -400,6 +404,8 @@ def colours_of_labels(
             f"The volume '{volume.name}' changed while it was read: try again once it is written."
         )
     found = Segmentation(grid, listed)
+    # The labels are in the volume's own file: the matrix leads from the volume, on right angles,
+    # back to the file's grid.
     matrix = matrix_into("segmentation", grid, grid, straight)
     stride = stride_of(volume.shape)
     labels = weighed(sampled(found.codes, matrix, volume.shape, stride))
@@ -430,11 +436,11 @@ def sampled(
 
 
 def weighed(codes: np.ndarray) -> np.ndarray:
-    """Return the labels of places with ``codes`` (nz, ny, nx) as ``Colours`` has them, (nz, ny, nx,
-    3) uint8.
+    """Return the two heaviest labels around each place with ``codes`` (nz, ny, nx), and the share
+    of the second, as ``SurfaceColours`` has them; (nz, ny, nx, 3) uint8.
 
-    A place without a label takes that of its neighbours within the reach of the Gaussian: beyond,
-    the field is zero.
+    SIGMA and SMOOTHING_REACH of the Gaussian are counted in places here. A place without a label
+    takes that of its neighbours within the reach: beyond, the field is zero.
     """
     # If all labels around a place are the same one, it needs no weights. Subtracting 1 turns the
     # code 0, no label, into the greatest, so that it does not count as the lowest.
@@ -451,11 +457,16 @@ def weighed(codes: np.ndarray) -> np.ndarray:
 
 
 def _extreme(codes: np.ndarray, extreme: np.ufunc) -> np.ndarray:
-    """Return the extreme of the codes within SMOOTHING_REACH of each place along each axis."""
+    """Return the ``extreme``, np.maximum or np.minimum, of the codes in the cube that extends
+    SMOOTHING_REACH places to all sides of each place; (nz, ny, nx) uint8.
+
+    The cube is cut off at the border.
+    """
+    # The extreme in a cube is the extreme along x of those along y of those along z.
     for axis in range(3):
         before = np.moveaxis(codes, axis, 0)
         after = before.copy()
-        # Shift in place of a window: each step extends the reach by one to both sides.
+        # Combine each place with those that are ``step`` before and after it.
         for step in range(1, min(SMOOTHING_REACH, len(before) - 1) + 1):
             extreme(after[step:], before[:-step], out=after[step:])
             extreme(after[:-step], before[step:], out=after[:-step])

@@ -9,7 +9,7 @@ import numpy as np
 
 from isogi_core.errors import SceneError, VolumeError
 from isogi_core.files.grid import Grid
-from isogi_core.files.mappings import UNMAPPED_SHARE, budget
+from isogi_core.files.mappings import budget
 from isogi_core.files.scene_file import Settings, is_number
 from isogi_core.files.spelling import shortest
 from isogi_core.kernels.tracing.pieces import open_by_size
@@ -22,6 +22,9 @@ PIECES_NOTE = "Pieces of fewer than {least} voxels are not shown."
 LARGEST_NOTE = "Pieces smaller than the largest one at {isovalue} are not shown."
 BYTES_PER_VOXEL = 32
 """Bytes per voxel, about, that finding pieces takes: values, their order, ranks and parents."""
+
+LEAST_ROOM = 1 << 30
+"""Bytes that finding pieces may take even if the budget of memory is smaller."""
 
 
 LARGEST_PIECE = "largest"
@@ -62,9 +65,10 @@ def without_small_pieces(
     ``least`` voxels; see ``open_by_size``.
 
     Holes, and values equal to one of ``missing``, stay and belong to no piece. Values that stay are
-    exactly the file's. Raises VolumeError if the volume is too large.
+    exactly the file's. The pieces are found when slabs are read. Raises VolumeError if that would
+    take more memory than the budget and more than LEAST_ROOM.
     """
-    if BYTES_PER_VOXEL * grid.size > max(8.0 * UNMAPPED_SHARE * budget(), 1 << 30):
+    if BYTES_PER_VOXEL * grid.size > max(budget(), LEAST_ROOM):
         raise VolumeError(
             "pieces takes the whole volume in memory, and this one is too large for that: leave "
             "it out, or show a region."
@@ -76,20 +80,24 @@ def without_small_pieces(
         note = PIECES_NOTE.format(least=least)
     return replace(
         grid,
-        slabs=partial(_opened, grid, least, solid, tuple(missing)),
+        slabs=partial(_slab_without_pieces, grid, least, solid, tuple(missing)),
         stamp=lambda: f"{given()} pieces {least} {solid} {list(missing)}",
         notes=(*grid.notes, note),
     )
 
 
-def _opened(
+def _slab_without_pieces(
     grid: Grid, least: Least, solid: str, missing: tuple[float, ...]
 ) -> Iterator[np.ndarray]:
-    """Yield the whole grid without small pieces, as its only slab."""
+    """Yield the whole grid without small pieces, as its only slab.
+
+    Raises VolumeError if the largest piece alone is to stay, and two are equally large.
+    """
     whole = grid.whole()
     values = usable(whole).ravel()
     there = np.flatnonzero(are_measured(values, find_marks(missing, usable_type(grid.dtype))))
-    # Sort the voxels from the most solid on, and rank equal values alike.
+    # Sort the voxels from the most solid on. Ranks fall from 0 along this order, whichever side is
+    # solid; equal values have equal ranks.
     rising = there[np.argsort(values[there], kind="stable")]
     order = rising[::-1].copy() if solid == "above" else rising
     some = values[order]

@@ -166,14 +166,16 @@ class Export:
         return order_of({"isovalues": [repr(self.view.isovalue)], "all_directions": True, **given})
 
     async def _in_thread(self, work: Callable[[], Made]) -> Made:
-        """Run some work on a thread; if cancelled, ask it to stop, and wait for its end."""
+        """Run some work on a thread. If this task is cancelled, set ``cancelled``, which stops work
+        that looks at it, and wait for the end of the work.
+        """
         return await finish_thread(
             asyncio.get_running_loop().run_in_executor(None, work), self.cancelled
         )
 
     def _check(self) -> int:
         """Return the expected bytes of the file. Raises FullError if it is too large, and
-        ViewError if there is no surface.
+        ViewError if a mesh would have no surface; a volume may be without one.
         """
         renderer = self.service.engine.renderer(self.scene.id)
         if self._coefficients:
@@ -181,6 +183,7 @@ class Export:
         else:
             numbers = 0
         needed = expected_bytes(renderer.prepared, self.view.isovalue, self._suffix, numbers)
+        # A mesh of no bytes has no vertex. The size of a volume file counts voxels: it is never 0.
         if not needed:
             raise no_surface(self.view.isovalue)
         self.service.exports.check(needed)

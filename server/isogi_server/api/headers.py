@@ -155,18 +155,21 @@ def time_left_header(left: TimeLeft) -> str:
 
 
 def entity_tag(frame: Frame, form: str, exposure: float, params: FrameParams) -> str:
-    """Return a strong ETag: equal if content and representation of the frame are equal.
-    Measured errors count only if the representation shows them.
+    """Return a strong ETag of a frame that is developed with an ``exposure`` and ``params``, and
+    encoded in the format ``form``: it is another one whenever the bytes may differ.
+
+    The progress of the frame's check counts only if the bytes show it, as errors and states do.
     """
     overlay = params.overlay
+    # The target decides which pixels are final, as npy files and overlays show.
     target = params.max_error
     background = params.background
-    measured = len(frame.controlled)
+    controls = len(frame.controlled)
     if form == "npy" or overlay == "error":
-        known = (measured, frame.improving)
+        check = (controls, frame.improving)
     else:
-        known = None
-    return tag_of(frame.version, form, exposure, overlay, target, known, background)
+        check = None
+    return tag_of(frame.version, form, exposure, overlay, target, check, background)
 
 
 def tag_of(*parts: object) -> str:

@@ -45,7 +45,9 @@ QUARTER = 0.25
 """Shares of the full width and height that drafts have."""
 
 MAX_DRAFT_SECONDS = 0.045
-"""Seconds that drawing and showing a draft may take: more than 20 drafts a second."""
+"""Seconds that a draft may take to be drawn here and shown by the client. At 20 drafts a second,
+0.005 s are left for encoding and sending it, which do not count.
+"""
 
 PACE_MARGIN = 0.8
 """Share of MAX_DRAFT_SECONDS that larger drafts are expected to take at most before they are
@@ -71,7 +73,9 @@ class Drafts:
         self._shown = running_mean(seconds, self._shown, FRESH)
 
     def drawn(self, seconds: float) -> None:
-        """Note the seconds that a draft took to draw, and choose the size of the next one."""
+        """Note the seconds that a draft took to draw, those in the queue included, and choose the
+        size of the next one.
+        """
         self._drawn = running_mean(seconds, self._drawn, FRESH)
         took = self._drawn + self._shown
         pixels = (HALF / QUARTER) ** 2
@@ -458,8 +462,10 @@ class Session:
         watch = Stopwatch()
         rank = self._service.draft_rank(self._viewer)
         frame = await self._service.frame_or_preview(small, rank, watch)
-        shown = Shown(frame, None, watch, frozenset(), 0)
-        # Time in the queue counts, so that drafts become smaller if many clients wait.
+        # A draft states no time left, and nothing waits for better light of it.
+        shown = Shown(frame, time_left=None, watch=watch, coming=frozenset(), since=0)
+        # Time in the queue counts, so that drafts become smaller if many clients wait. Encoding,
+        # which follows, does not.
         self._drafts.drawn(sum(watch.seconds.values()))
         await self._hand_over(request, *await self._made(request, params, shown, "jpeg", rank))
         now = asyncio.get_running_loop().time()

@@ -152,20 +152,23 @@ def first_view_of(scene: Scene, knobs: Mapping[str, str]) -> tuple[Span, FramePa
     span = Span(min(levels.all), max(levels.all))
     start = min(max(scene.isovalue, span.low), span.high)
     first = with_first_view(scene, knobs)
+    # A background of the scene's first view that no page offers is left out; an option is refused.
     if first.get("background") not in PAGE_BACKGROUNDS and "background" not in knobs:
         first.pop("background", None)
     params = read(FrameParams, {**first, "isovalue": repr(start)}.items())
     # Refuse isovalues outside the scene's range.
     for end in (span.low, span.high):
         isovalue_of(scene, params.model_copy(update={"isovalue": end}))
+    # Refuse a wrong background now, before light is baked.
     ground_of(params)
     return span, params
 
 
 def ground_of(params: FrameParams) -> str:
-    """Return the background: light, dark, or "page", the browser's preference. Raises
-    ParameterError.
+    """Return the background of the page: "light", "dark", or, if none is given, "page": then the
+    page follows the browser's preference. Raises ParameterError for any other background.
     """
+    # The parameter has a default, which must not count as given.
     if "background" not in params.model_fields_set:
         return "page"
     if params.background not in PAGE_BACKGROUNDS:

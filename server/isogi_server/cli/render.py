@@ -191,8 +191,13 @@ def why_empty(scene: Scene, view: View) -> str:
 
 
 def stopped_by(frame: Frame) -> str:
-    """Return the reason for the end of a frame's rendering: "target", "samples", "paths" (its
-    pixels have taken all that they may) or "time".
+    """Return the reason for the end of a frame's rendering.
+
+    - "target": the frame is final.
+    - "samples": a path-traced picture has taken all its samples.
+    - "paths": all light is there, but the check has traced as many paths from the frame's pixels as
+      it may, and the error is still above the target.
+    - "time": the time was over before that, or nothing was left that could be baked or checked.
     """
     if frame.final:
         return "target"

@@ -148,15 +148,16 @@ class Server(uvicorn.Server):
 
 
 async def run(app: FastAPI, listener: socket.socket) -> None:
-    """Serve the app, print its address once it is ready, and raise the engine's error if that
-    did not start.
+    """Serve the app until a signal, and print its address once it is ready. Raises the engine's
+    error if that did not start, unless a signal came first.
     """
     service: Service = app.state.service
 
     def stopping() -> None:
-        """Exit in time; soon if nobody was served yet, without waiting for kernels. The service is
-        ready, or has failed, once ``watching`` is done.
+        """Have the process exit after EXIT_SECONDS at most, also while kernels compile; later by
+        ``shutdown_seconds``, the time for open requests, if the service was ready or has failed.
         """
+        # ``watching`` is made below, before the server runs.
         if not watching.done():
             click.echo(STOPPED, err=True)
         leave_within(EXIT_SECONDS + (app.state.settings.shutdown_seconds if watching.done() else 0))
@@ -186,7 +187,7 @@ def leave_within(seconds: float) -> None:
     """Exit the process after this number of seconds at most: compiling, and reading from a slow
     store, cannot be interrupted.
 
-    All clients have their answers by then, and the store is consistent at any time.
+    Clients of a server that was ready have their answers by then. The store is always consistent.
     """
     timer = threading.Timer(seconds, leave)
     timer.daemon = True

@@ -25,10 +25,11 @@ CONFIG = (
 
 
 def settings_from(config: Path | None = None, **given: Any) -> Settings:
-    """Read the settings: options first, then the environment, then a file. Raises UsageError that
-    names the wrong one.
+    """Read the settings: the options ``given``, if they are not None, then the environment, then
+    the file ``config``.
 
-    The token is removed from the environment, which workers inherit.
+    The token is removed from the environment, which workers inherit. Raises UsageError, which names
+    the first setting that is wrong, and OSError if the file cannot be read.
     """
     try:
         settings = read_settings(
@@ -36,8 +37,10 @@ def settings_from(config: Path | None = None, **given: Any) -> Settings:
         )
         os.environ.pop(variable("token"), None)
         return settings
+    # A ValidationError is a ValueError as well, so it must come first.
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
+        # An error without a place breaks a rule about several settings.
         if not first["loc"]:
             raise click.UsageError(f"{first['msg'].removeprefix('Value error, ')}.") from None
         name = str(first["loc"][0])

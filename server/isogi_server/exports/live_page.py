@@ -34,7 +34,7 @@ FIRST_PAGE_MODULE = "published/published.js"
 """The first module of the page."""
 
 FOLDERS = ("light", "volume", "colours")
-"""Folders of a page's files."""
+"""Folders of a page's files: light of texels, voxels, and colours by data."""
 
 PAGE = "index.html"
 """The HTML file in a folder."""
@@ -88,17 +88,18 @@ def elements(files: Mapping[str, bytes]) -> Iterator[str]:
 
 
 def volume_files(renderer: Renderer, span: Span) -> dict[str, bytes]:
-    """Return the codes of the volume's voxels, slab by slab.
+    """Return the files of the volume, by name: the codes of each slab of its voxels, compressed.
 
-    Voxels that no isosurface in the ``span`` needs get equal values, so that they compress well.
+    Voxels that no isosurface in the ``span`` needs are made alike, so that they compress well: all
+    below the span get one value, all above it another, see ``IdleVoxels``.
     """
     codes = renderer.prepared.voxel_codes
     volume = renderer.prepared.scene.volume
     voxels = IdleVoxels(volume.voxels, *volume.normalise_span(span.low, span.high))
-    slabs = (
+    contents = (
         (slab_name(a, b), codes.code(voxels.flattened(a, b)).tobytes()) for a, b in codes.slabs
     )
-    return {name: compressed(content) for name, content in slabs}
+    return {name: compressed(content) for name, content in contents}
 
 
 def colour_files(renderer: Renderer, span: Span) -> dict[str, bytes]:
@@ -219,8 +220,8 @@ def scene_of(renderer: Renderer, params: FrameParams, view: View, span: Span) ->
 
 
 def histogram_between(histogram: Histogram, span: Span) -> Histogram:
-    """Return a histogram whose bins outside of ``span`` are empty, as the page's voxels are
-    equal there.
+    """Return a histogram in which each bin that is not wholly within ``span`` has the count 0: on
+    the page, most voxels beyond the span have one value on each side, see ``volume_files``.
     """
     edges = histogram.edges
     counts = [
@@ -253,14 +254,17 @@ def fits_of(
 
 
 def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Write files into a folder, the page last, and delete files of a former page. Raises
-    OSError.
+    """Write the ``files`` of a page, by their relative names, into a ``folder``; then delete each
+    ``.bin`` file in its FOLDERS that the page does not name, as it is of a former page.
+
+    Raises OSError.
     """
+    # Write the page last: all files that it names are there as soon as it can be read.
     for name in sorted(files, key=lambda each: each == PAGE):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         write_whole(folder / name, files[name])
-    # Delete files that the new page does not name.
-    for old in (path for room in FOLDERS for path in (folder / room).glob("*.bin")):
+    # Delete old files after the page that named them was replaced.
+    for old in (path for part in FOLDERS for path in (folder / part).glob("*.bin")):
         if old.relative_to(folder).as_posix() not in files:
             old.unlink()
 

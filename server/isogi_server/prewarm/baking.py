@@ -295,8 +295,11 @@ class Baking:
         return bool(self._open)
 
     def _wait(self) -> None:
-        """Wait for the oldest part, at most REPORT_SECONDS.
-        Raises Cancelled, and WorkersError if no light comes.
+        """Wait until the oldest part is baked or given up, at most REPORT_SECONDS, and not beyond
+        the end of the round.
+
+        Before that, raises Cancelled if the prewarm was stopped, and WorkersError if the workers
+        did not start, or if no path was baked for longer than the context's patience.
         """
         context = self._context
         now = time.monotonic()
@@ -305,7 +308,9 @@ class Baking:
         if engine.workers.missing:
             raise WorkersError(engine.workers.missing)
         self._patience.check(engine.baker.paths, engine.workers.preparing, engine.unready())
-        self._open[0][1].wait(max(min(REPORT_SECONDS, self._end - now), 0.0))
+        # A part is open: ``run`` waits only if any is requested.
+        _, oldest = self._open[0]
+        oldest.wait(max(min(REPORT_SECONDS, self._end - now), 0.0))
 
     def _settle(self) -> None:
         """Count the parts that are baked or given up."""

@@ -244,7 +244,8 @@ class Record:
         self._store = store
         self._documents = Documents(store, RECORDS_FOLDER)
         self._begun = time.monotonic()
-        self._written = -BEAT
+        # Monotonic time of the last try to write: the first step is due.
+        self._tried = -BEAT
 
     @property
     def place(self) -> str:
@@ -296,15 +297,16 @@ class Record:
             raise
 
     def report(self, step: Step) -> None:
-        """Record a step of progress if BEAT seconds have passed since the last.
+        """Record a step of progress if BEAT seconds have passed since the record was last written.
 
-        If the store does not take it, this is logged, and tried again after BEAT seconds.
+        If the store refuses it, log this, and record the first step that comes BEAT seconds later:
+        baking goes on without a record.
         """
-        if time.monotonic() - self._written >= BEAT:
+        if time.monotonic() - self._tried >= BEAT:
             try:
                 self.keep(status=Status.RUNNING, message=str(step), progress=int(100 * step.share))
             except StoreError as error:
-                self._written = time.monotonic()
+                self._tried = time.monotonic()
                 log.warning("The progress of a prewarm cannot be recorded: %s", error)
 
     def close(self, summary: Summary) -> Summary:
@@ -322,7 +324,7 @@ class Record:
         signs = {"updated": now(), "worker": THIS_PROCESS, "spent": time.monotonic() - self._begun}
         self.document = self.document.model_copy(update={**facts, **signs})
         self._documents.write(self.document.id, self.document.model_dump(mode="json"))
-        self._written = time.monotonic()
+        self._tried = time.monotonic()
 
 
 def recorded_prewarms(store: StoreLike) -> Iterator[RecordDocument]:

@@ -107,8 +107,10 @@ class BackgroundBake:
     def __init__(
         self, baker: Baker, bake: str, stage: Stage, viewer: Viewer = BACKGROUND_VIEWER
     ) -> None:
-        """Request the light from the ``baker``, for a ``viewer``. ``coming`` are the chunks
-        that will be baked: those that were not given up before.
+        """Request the light from the ``baker``, for a ``viewer``; ``bake`` is the name of the bake.
+
+        ``coming`` are the chunks that will be baked, or were baked since the view was drawn; chunks
+        that were given up are not among them.
         """
         self._baker = baker
         self._viewer = viewer

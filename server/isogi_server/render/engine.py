@@ -350,10 +350,12 @@ class RenderEngine:
         prices: Prices = AWAITED,
         over: threading.Event | None = None,
     ) -> bool:
-        """Take one step of the check of a picture; return False if there was none to take.
-        ``prices`` weigh the costs of possible steps.
+        """Take one step of the check of a picture: measure its total error, or bring it nearer to
+        the ``target``. Return False if no step was left.
 
-        Raises as ``frame`` does, and Cancelled also if ``over`` is set.
+        ``prices`` weigh the costs of possible steps. Raises as ``frame`` does, and Cancelled if
+        ``cancelled`` is set, as nobody wants the picture any more, or ``over``, as the caller has
+        no time left for the step.
         """
         tiles = self._checking
         for event in filter(None, (cancelled, over)):

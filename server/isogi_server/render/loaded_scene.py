@@ -118,22 +118,26 @@ class LoadedScene:
     ) -> Frame:
         """Return the frame of a view with the light baked so far. Raises as Renderer does.
 
-        Finer texels are shown once the whole picture has them; until then the frame is drawn by the
-        texels of this scene, and says that a finer one is coming.
+        If the check of the picture asks for finer texels, the frame is drawn by them once all their
+        light is there, or once control pixels have measured it. Until then it is drawn by the
+        texels of this scene, and its ``quality.finer`` is the frame that is coming.
         """
         # A frame that asks for all samples measures these texels, not finer ones.
         if goal.samples < MAX_SAMPLES:
             coming = self._render_finer(view, goal, cancelled, watch)
         else:
             coming = None
+        # A finer frame that was measured is also shown while its texels get more samples, although
+        # it is provisional again then.
         if coming is not None and (coming.measured is not None or not coming.provisional):
             return coming
         frame = self.renderer.render(view, goal, cancelled, watch)
         # A frame that needs no change is returned as it is: what was computed of it stays.
         if coming is None and not self.fineness:
             return frame
-        last = None if coming is None else coming.quality.finer or coming
-        return replace(frame, quality=replace(frame.quality, fineness=self.fineness, finer=last))
+        # The frame that is coming may itself wait for one of even finer texels.
+        finest = None if coming is None else coming.quality.finer or coming
+        return replace(frame, quality=replace(frame.quality, fineness=self.fineness, finer=finest))
 
     def _render_finer(
         self, view: View, goal: Goal, cancelled: threading.Event | None, watch: Stopwatch

@@ -64,10 +64,12 @@ class UpdateBus:
     def __init__(self) -> None:
         self._loop = asyncio.get_running_loop()
         self._count = 0
-        self._last: OrderedDict[tuple[str, Index], tuple[int, bool]] = OrderedDict()
-        self._forgotten = 0
-        self._newest: OrderedDict[str, int] = OrderedDict()
-        self._bakes_forgotten = 0
+        # Of each chunk: the number of its newest update, and whether more follow; the oldest first.
+        # Updates with numbers up to ``_chunks_forgotten_to`` may be forgotten; bakes likewise.
+        self._newest_of_chunk: OrderedDict[tuple[str, Index], tuple[int, bool]] = OrderedDict()
+        self._chunks_forgotten_to = 0
+        self._newest_of_bake: OrderedDict[str, int] = OrderedDict()
+        self._bakes_forgotten_to = 0
         self._pending: set[Pending] = set()
 
     def publish(self, bake: str, index: Index, more: bool) -> None:
@@ -81,7 +83,7 @@ class UpdateBus:
         """Return the number of the newest update of a bake; 0 if it had none. Of a bake that had
         none for long it is the number of a later update of another bake.
         """
-        return self._newest.get(bake, self._bakes_forgotten)
+        return self._newest_of_bake.get(bake, self._bakes_forgotten_to)
 
     @contextmanager
     def pending(
@@ -97,7 +99,9 @@ class UpdateBus:
         pending = Pending(bake, set(chunks), set(dark))
         # Catch up with the updates since the frame was drawn.
         for index in chunks:
-            number, more = self._last.get((bake, index), (self._forgotten, False))
+            number, more = self._newest_of_chunk.get(
+                (bake, index), (self._chunks_forgotten_to, False)
+            )
             if number > since:
                 pending.note(index, more)
         self._pending.add(pending)
@@ -107,17 +111,21 @@ class UpdateBus:
             self._pending.discard(pending)
 
     def _note(self, bake: str, index: Index, more: bool) -> None:
-        """Number an update, and pass it on to those that watch its bake."""
+        """Number an update, remember it as the newest of its chunk and of its bake, and pass it
+        on to the requests that wait for this bake. Runs on the event loop.
+        """
         self._count += 1
-        self._last[bake, index] = self._count, more
-        self._last.move_to_end((bake, index))
-        self._newest[bake] = self._count
-        self._newest.move_to_end(bake)
-        # Forget the oldest: bakes come and go with each cut and isovalue.
-        if len(self._last) > MOST_UPDATES:
-            _, (self._forgotten, _) = self._last.popitem(last=False)
-        if len(self._newest) > MOST_BAKES:
-            _, self._bakes_forgotten = self._newest.popitem(last=False)
+        self._newest_of_chunk[bake, index] = self._count, more
+        self._newest_of_chunk.move_to_end((bake, index))
+        self._newest_of_bake[bake] = self._count
+        self._newest_of_bake.move_to_end(bake)
+        # Bakes come and go with each cut and isovalue: forget the oldest entry. Those forgotten
+        # before have smaller numbers, so this one bounds them all.
+        if len(self._newest_of_chunk) > MOST_UPDATES:
+            _, (number, _) = self._newest_of_chunk.popitem(last=False)
+            self._chunks_forgotten_to = number
+        if len(self._newest_of_bake) > MOST_BAKES:
+            _, self._bakes_forgotten_to = self._newest_of_bake.popitem(last=False)
         for pending in self._pending:
             if pending.bake == bake:
                 pending.note(index, more)

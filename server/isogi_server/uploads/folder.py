@@ -287,20 +287,23 @@ def vector(row: Sequence[float]) -> str:
 
 
 def read_volume(path: Path) -> Upload | None:
-    """Read the header of a canonical volume whose file name is its id; None if the file is not
-    as ``write`` wrote it.
+    """Read the header of a canonical volume whose file name is its id; its voxels are not checked.
+
+    Return None if the header is none that ``write`` makes, or if the length of the file is not
+    that of header and voxels.
     """
     with path.open("rb") as file:
         head = VOLUME_HEADER_PATTERN.match(file.read(MAX_HEADER_BYTES))
     if head is None:
         return None
-    kind, *sizes, name = (part.decode() for part in head.groups())
+    voxel_type, *sizes, name = (part.decode() for part in head.groups())
     x, y, z = map(int, sizes)
     kept = Upload(VOLUME_KIND, path.stem, unquote(name), (x, y, z), path.stat().st_size)
-    # The size of the file must be that of header and voxels: else it was cut off.
-    widths = {name: int(code[1]) for code, name in NRRD_TYPES.items()}
-    whole = head.end() + widths.get(kind, 0) * math.prod(kept.size)
-    return kept if kept.bytes == whole else None
+    # A file of another length was cut off, or has something appended. Unknown types count as 0
+    # bytes, so that no file with voxels fits them.
+    voxel_bytes = {nrrd_type: int(code[1]) for code, nrrd_type in NRRD_TYPES.items()}
+    file_bytes = head.end() + voxel_bytes.get(voxel_type, 0) * math.prod(kept.size)
+    return kept if kept.bytes == file_bytes else None
 
 
 READERS = {VOLUME_KIND: read_volume, ENVIRONMENT_KIND: read_environment}

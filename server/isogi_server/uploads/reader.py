@@ -109,17 +109,19 @@ def check_size(grid: Grid, voxels: int) -> None:
 
 
 def rehearse(head: bytes) -> None:
-    """Load the libraries for a file that begins with ``head``, and let libraries load the parts
-    that they load on first use: no file can be opened later.
+    """Import all modules that reading a file may need, by its first bytes, ``head``: no file can
+    be opened, and no module imported, after ``limit`` and ``confine``.
     """
+    # Use NumPy and isogi once on made-up data, as some of their modules are imported on first use.
     survey(Grid.of(np.array([0.0, 1.0, np.nan, 1e30] * 2).reshape(2, 2, 2)), "above")
     resample(np.ones((4, 8, 3)), 2, 4)
+    # Import the libraries of this kind of file.
     if head.startswith(EXR_MAGIC):
         libraries = [EXR_LIBRARY]
     else:
         libraries = libraries_for(head)
     for name in libraries:
-        # What fails to load, such as a plug-in's module, may belong to another kind.
+        # A module that fails to load, such as that of a plug-in, may belong to another kind.
         with contextlib.suppress(*LOAD_FAULTS):
             import_module(name)
 

@@ -166,14 +166,15 @@ class Reader:
 
 
 WRITE_BLOCK_BYTES = 1 << 20
-"""Bytes that are written in one call."""
+"""Bytes of a body that are collected, at least, before they are written in one call."""
 
 
 async def receive(request: Request, file: IO[bytes], seconds: float) -> None:
-    """Write the body of a request to a file.
+    """Write the body of a request to a file, in threads, so that the event loop goes on. The reader
+    process sees all of it when this returns.
 
-    Raises SlowUploadError if nothing comes for ``seconds``, Cancelled if the client disconnects,
-    and the errors of the file.
+    Raises SlowUploadError if no part of the body comes for ``seconds``, Cancelled if the client
+    disconnects, and OSError if the file cannot be written.
     """
     async with aclosing(blocks(request, seconds)) as arriving:
         async for block in arriving:

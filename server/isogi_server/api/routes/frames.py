@@ -142,7 +142,8 @@ class InTurn(StreamingResponse):
     """A frame as npy, made while it is sent: made as a whole, a large one would take its memory
     several times.
 
-    Only a few large frames are sent at once, as each is in memory until its client has it. If a
+    Only a few large frames are sent at once, so that slow clients do not keep ever more of them in
+    memory. A frame that waits for its turn is in memory, too, but gives up after a while. If a
     client takes nothing for long while others wait, its answer is cut short.
     """
 
@@ -157,23 +158,25 @@ class InTurn(StreamingResponse):
         self._room = service.threads.sending(frame.view)
 
     async def stream_response(self, send: Send) -> None:
-        """Send the frame once it is its turn. Raises BusyError if that takes too long."""
+        """Send the headers and the frame once it is its turn; a small frame at once. Raises
+        BusyError, with nothing sent yet, if its turn does not come within ``queue_seconds``.
+        """
         if self._room is None:
             await super().stream_response(send)
             return
-        patience = self._service.settings.patience.queue_seconds
-        rank = self._service.rank(self._viewer, REQUEST_PATIENCE, patience)
+        longest = self._service.settings.patience.queue_seconds
+        rank = self._service.rank(self._viewer, REQUEST_PATIENCE, longest)
         place = await self._room.enter(rank)
         try:
-            await super().stream_response(partial(self._send, send, self._room))
+            await super().stream_response(partial(self._send_part, send, self._room))
         except StalledError:
             pass  # The answer is cut short, and uvicorn closes the connection.
         finally:
             place.leave()
 
-    async def _send(self, send: Send, room: Room, message: Message) -> None:
-        """Send a part. Raises StalledError if the client takes nothing of it while other answers
-        wait for the ``room``.
+    async def _send_part(self, send: Send, room: Room, message: Message) -> None:
+        """Send a part of the answer by ``send``. Raises StalledError if the client has not taken it
+        after SLOWEST_PART seconds, or a multiple of these, and other answers wait for the ``room``.
         """
         sending = asyncio.ensure_future(send(message))
         try:
