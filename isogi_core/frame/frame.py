@@ -44,6 +44,12 @@ projected; see ``frame.projected_texels``.
 """
 
 
+QUICK_TEXELS = 1 << 15
+"""Texels without light that are baked in any case: it takes about a second, and they light later
+views at once.
+"""
+
+
 STATE_CODES = {"final": FINAL, "converging": CONVERGING, "provisional": PROVISIONAL}
 
 
@@ -360,7 +366,30 @@ class Frame:
         # for.
         if self.quality.waiting:
             return self.surface - self.settled == self.quality.waiting
-        return not (self.provisional or self.final or self.given_up)
+        # Paths of pixels need no light of texels.
+        ended = self.final or self.given_up
+        return not ended and (self.undecided or self.by_paths or not self.provisional)
+
+    @property
+    def undecided(self) -> bool:
+        """True if light is to come, and its check has still to decide if paths of pixels bring it
+        sooner than texels.
+        """
+        known = self.quality.known
+        if known is None or known.by_paths is not None or not self.provisional:
+            return False
+        return self.unlit_texels > QUICK_TEXELS
+
+    @cached_property
+    def unlit_texels(self) -> float:
+        """The number of texels without light that the picture reads, those of all stages."""
+        return sum(demand.effort.unlit for stage in self.stages for demand in stage.demands)
+
+    @property
+    def by_paths(self) -> bool:
+        """True if paths of its pixels light the picture, and no texels."""
+        known = self.quality.known
+        return known is not None and bool(known.by_paths)
 
     @property
     def refinable(self) -> bool:
@@ -375,7 +404,7 @@ class Frame:
         pixels measure the error of the whole meanwhile.
         """
         known = self.quality.known
-        if known is None or len(known.controls.places) or self.quality.waiting:
+        if known is None or len(known.controls.places) or self.quality.waiting or self.undecided:
             return False
         # Walls and cut faces are drawn without texels: they are no light that has come.
         return self.provisional and self.unlit < len(self.gbuffer.pixels)

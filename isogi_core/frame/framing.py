@@ -55,7 +55,9 @@ def frame_of(
     projection = None
     needed = 0
     short = 0
-    if texels and reading:
+    by_paths = checked is not None and bool(checked.by_paths)
+    # A picture by paths of its pixels lacks no light of texels, even if it shows some meanwhile.
+    if texels and reading and not by_paths:
         lacking = Lacking(texels, reading, framebuffer)
         needed = len(texels.chunks)
         short = int(reading.short.sum())

@@ -41,6 +41,7 @@ from isogi_core.frame.gbuffer import GBuffer, surface_key, to_index, trace
 from isogi_core.frame.known_blocks import KnownBlocks
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.picture_plan import PRESENT, Prices
+from isogi_core.frame.rays.picture_state import PictureState
 from isogi_core.frame.several.composer import Composer
 from isogi_core.frame.several.peels import Peels
 from isogi_core.frame.shot import Shot
@@ -49,6 +50,7 @@ from isogi_core.frame.texel_normals import LatticeNormals
 from isogi_core.frame.texel_reading import Reading, read_texels
 from isogi_core.frame.texel_shading import StandIn
 from isogi_core.frame.tiles import Stopwatch, Tiles
+from isogi_core.frame.view_checks import is_checked
 from isogi_core.frame.view_texels import ViewTexels
 from isogi_core.kernels.shading.framebuffer import PROVISIONAL, Framebuffer
 from isogi_core.lru_cache import LruCache
@@ -242,13 +244,23 @@ def unlit_frame(
         if not len(held.slots) or (held.slots >= 0).any():
             return None
         reading = read_texels(texels, held.slots, loader.pool, goal, tiles)
-    return undrawn_frame(renderer, view, texels, reading)
+    # Its check decides if the light that it lacks is that of texels.
+    known = None
+    if is_checked(view):
+        known = renderer.checks.of(renderer.shot(view, gbuffer, goal, tiles)).known
+    return undrawn_frame(renderer, view, texels, reading, known)
 
 
-def undrawn_frame(renderer: Renderer, view: View, texels: ViewTexels, reading: Reading) -> Frame:
+def undrawn_frame(
+    renderer: Renderer,
+    view: View,
+    texels: ViewTexels,
+    reading: Reading,
+    known: PictureState | None = None,
+) -> Frame:
     """Return the frame of a view before it is drawn: white, and provisional wherever it shows the
     surface. Its ``texels`` and their ``reading`` tell the light that it lacks, so that bakes begin
-    before a picture is shaded.
+    before a picture is shaded; ``known`` is the state of its picture's check, if it has one.
     """
     gbuffer = texels.gbuffer
     count = view.width * view.height
@@ -258,4 +270,4 @@ def undrawn_frame(renderer: Renderer, view: View, texels: ViewTexels, reading: R
     white.state[gbuffer.pixels] = PROVISIONAL
     light = RotatedLight(renderer.caches.spec(view.shading), view)
     shot = Shot(gbuffer, light, reading.goal, renderer.tiles)
-    return frame_of(shot, white, texels, reading)
+    return frame_of(shot, white, texels, reading, known)

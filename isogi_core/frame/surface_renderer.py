@@ -178,6 +178,11 @@ class SurfaceRenderer:
         known = None
         if is_checked(shot.view) and shot.goal.samples < MAX_SAMPLES:
             known = self.checks.of(shot).known
+        # Once all pixels have light from paths of their own, texels are not looked at.
+        if known is not None and known.covers:
+            by_paths = (DrawnPicture, shot.view, shot.goal, known)
+            show = partial(self._show_paths, known, shot)
+            return self._kept.get(by_paths, lambda: DrawnPicture(show())).frame
         # Find the texels around the surface points.
         with shot.watch.stage("texels"):
             texels = self.texels(shot.view, shot.gbuffer, shot.tiles)
@@ -189,6 +194,14 @@ class SurfaceRenderer:
         key = (DrawnPicture, shot.view, shot.goal, known, light)
         make = partial(self._carry_texels, texels, known, shot)
         return self._kept.get(key, lambda: DrawnPicture(make())).frame
+
+    def _show_paths(self, known: PictureState, shot: Shot) -> Frame:
+        """Draw a ``shot`` whose pixels all have light from paths of their own, as its check has
+        ``known``, without light of texels.
+        """
+        framebuffer = empty_framebuffer(shot.gbuffer)
+        known.own.show(framebuffer, shot.gbuffer, shot.light)
+        return frame_of(shot, framebuffer, checked=known)
 
     def _light_key(self, texels: ViewTexels, shot: Shot) -> Hashable | None:
         """Return a key that changes whenever light in the picture of a ``shot`` may have changed,
@@ -233,7 +246,9 @@ class SurfaceRenderer:
             with shot.watch.stage("shine"):
                 shine = self._shine.put(shot, framebuffer)
         # Pixels that got light from paths of their own show it in place of the light of texels.
-        if known is not None:
+        if known is not None and known.by_paths:
+            known.own.show(framebuffer, gbuffer, light)
+        elif known is not None:
             known.own.put(framebuffer, gbuffer, light, tiles)
         frame = frame_of(shot, framebuffer, texels, reading, known, shine)
         return self._walls.add(frame, shot)

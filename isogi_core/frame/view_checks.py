@@ -14,9 +14,16 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import surface_key
 from isogi_core.frame.rays.carried_light import MOST_CHANGE, TracedLight, TracedPoints, carried_key
 from isogi_core.frame.rays.control_pixels import CONTROLS_IF_MISSED, FIRST_CONTROLS, paths_for
-from isogi_core.frame.rays.own_light import PixelLight, foreseen_paths
+from isogi_core.frame.rays.own_light import PixelLight, all_points, foreseen_paths
 from isogi_core.frame.rays.picture_check import PictureCheck
-from isogi_core.frame.rays.picture_plan import AWAITED, SHARED_PRICES, Prices, rungs_above
+from isogi_core.frame.rays.picture_plan import (
+    AWAITED,
+    HEAVIER,
+    SHARED_PRICES,
+    Prices,
+    paths_alone,
+    rungs_above,
+)
 from isogi_core.frame.rays.picture_state import PictureState
 from isogi_core.frame.refinement import Refinement
 from isogi_core.frame.shading import texel_disagreement
@@ -71,14 +78,21 @@ class ViewChecks(Refinement[PictureCheck]):
     def of(self, shot: Shot) -> PictureCheck:
         """Return the check of the picture of a ``shot``, kept or begun now: see ``Refinement``."""
         error = shot.goal.error
-        begun = PictureState(Goal.checked(error))
+        by_paths = None if may_go_without_texels(shot) else False
+        begun = PictureState(Goal.checked(error), by_paths=by_paths)
         return self._kept.get(check_key(shot.view, error), lambda: PictureCheck(shot.light, begun))
 
     def advance(self, found: PictureCheck, frame: Frame, shot: Shot, prices: Prices) -> bool:
         """Take one step of the check ``found``: see ``Refinement``."""
+        # Decide first if the picture is to read texels at all.
+        if frame.undecided and found.known.by_paths is None:
+            self._decide(found, frame, shot, prices)
+            return True
         # Pixels whose light grows were chosen before: nothing is drawn by the uncertainty then.
         if found.growing:
             uncertainty = found.known.uncertainty
+        elif found.known.by_paths:
+            uncertainty = frame.pixel_noise
         else:
             uncertainty = self._uncertainty(frame, found, shot)
         # Light that was traced for other views comes first, as it costs no paths. A picture that
@@ -90,9 +104,48 @@ class ViewChecks(Refinement[PictureCheck]):
                 return True
         before = found.known.own
         taken = found.advance(frame, uncertainty, shot.tiles, prices)
-        if found.known.own is not before:
+        if found.known.own is not before and not found.growing:
             self._keep_traced(found, shot)
         return taken
+
+    def _decide(self, check: PictureCheck, frame: Frame, shot: Shot, prices: Prices) -> None:
+        """Decide if paths of its pixels light a picture whose texels are not baked yet, in place of
+        these; begin with the paths if so. Raises Cancelled.
+
+        A few controls show how many paths a pixel takes to the target. Texels must cost less than
+        the paths that they spare: those of the first samples, which the picture waits for, and all
+        others that it is foreseen to need afterwards.
+        """
+        lacking = frame.quality.lacking
+        assert lacking is not None, "a picture that reads no texels has nothing to decide"
+        if math.isinf(prices.alone):
+            check.light_by_texels()
+            return
+        target = shot.goal.error
+        mean, effort = check.scout(frame.gbuffer, shot.tiles)
+        left = foreseen_work(frame, lacking.reading, target, effort / PIXELS)
+        # Their paths count in full here: the picture waits for all of them.
+        first = FIRST_LEVEL * frame.unlit_texels
+        texels = HEAVIER * (first + left.texels) + left.pixels
+        texels += prices.task * sum(len(stage.demands) for stage in lacking.stages)
+        # Light that was traced for other views spares its paths.
+        carried = self._all_carried(shot)
+        points = len(frame.gbuffer.pixels)
+        alone = prices.alone * paths_alone(points - len(carried.places), effort, target)
+        if mean <= 0.0 or alone + controls_of(target) >= texels:
+            check.light_by_texels()
+            return
+        error = math.hypot(noise_after(FIRST_LEVEL, effort / PIXELS), frame.quality.expected)
+        check.light_by_paths(all_points(points, error, target, mean, effort), carried)
+
+    def _all_carried(self, shot: Shot) -> PixelLight:
+        """Return the light that the points of a ``shot`` take over from earlier views, however
+        little it is. Raises Cancelled.
+        """
+        key = carried_key(shot.light)
+        if key is None or (traced := self._kept.held(key)) is None:
+            return PixelLight.none()
+        return traced.carried_to(shot, np.ones(len(shot.gbuffer.pixels)))
 
     def _carried(self, shot: Shot, uncertainty: np.ndarray) -> PixelLight | None:
         """Return the light that the points of a ``shot`` take over from earlier views; None if it
@@ -150,6 +203,11 @@ class ViewChecks(Refinement[PictureCheck]):
         between[known.carried] = MOST_CHANGE * known.goal.error * carried
         return np.asarray(np.hypot(between, frame.pixel_noise))
 
+    def lit_by_paths(self, view: View, goal: Goal) -> bool:
+        """Return True if paths of its pixels light a view's picture, and no texels."""
+        check = self.held(view, goal)
+        return check is not None and bool(check.known.by_paths)
+
     def asks_finer(self, view: View, goal: Goal) -> bool:
         """Return True if the check of a view's picture asks for finer texels in its place."""
         check = self.held(view, goal)
@@ -187,7 +245,8 @@ class ViewChecks(Refinement[PictureCheck]):
         """Return the paths that a ``frame`` is foreseen to take, before it was measured."""
         if frame.target is None or frame.quality.lacking is None:
             return PathsLeft()
-        return foreseen_work(frame, frame.quality.lacking.reading, goal.error)
+        reading = frame.quality.lacking.reading
+        return foreseen_work(frame, reading, goal.error, reading.effort)
 
 
 def goal_of_texels(goal: Goal, view: View, known: PictureState | None) -> Goal:
@@ -203,18 +262,45 @@ def goal_of_texels(goal: Goal, view: View, known: PictureState | None) -> Goal:
     return Goal(goal.error, max(goal.samples, known.goal.samples if known else 0))
 
 
-def foreseen_work(frame: Frame, reading: Reading, target: float) -> PathsLeft:
-    """Predict the paths that a ``frame`` will take after the first samples of its texels, by
-    the noise that their ``reading`` tells: those of the cheapest way.
+def may_go_without_texels(shot: Shot) -> bool:
+    """Return True if paths of its pixels may light the picture of a ``shot`` in place of texels: if
+    it shows one surface alone, evenly reflecting.
+    """
+    scene = shot.scene
+    return not (
+        shot.light.shine is not None
+        or len(shot.gbuffer.walls.pixels)
+        or scene.surfaces.several
+        or scene.surfaces.material.refracts
+        or scene.lighting.glowing.any
+    )
+
+
+def controls_of(target: float) -> float:
+    """Return the number of paths of all controls of a picture with this ``target``, if it misses
+    it.
+    """
+    return 2.0 * paths_for(target) * CONTROLS_IF_MISSED
+
+
+def noise_after(samples: int, effort: float) -> float:
+    """Return the relative noise of pixels whose texels have ``samples`` each, filtered; a texel
+    takes ``effort`` / e^RATE of them to a relative error e.
+    """
+    return float((effort / samples) ** (1.0 / RATE)) / FILTERED_NOISE_RATIO
+
+
+def foreseen_work(frame: Frame, reading: Reading, target: float, effort: float) -> PathsLeft:
+    """Predict the paths that a ``frame`` will take after the first samples of the texels of a
+    ``reading``: those of the cheapest way. A texel takes ``effort`` / e^RATE samples to a relative
+    error e.
     """
     points = len(frame.gbuffer.pixels)
-    effort = reading.effort
     ways = []
-    controls = 2.0 * paths_for(target) * CONTROLS_IF_MISSED
+    controls = controls_of(target)
     # Try all rungs: more samples of texels leave fewer pixels that need light of their own.
     for times, rung in enumerate([FIRST_LEVEL, *rungs_above(FIRST_LEVEL, target)], start=2):
-        noise = (effort / rung) ** (1.0 / RATE) / FILTERED_NOISE_RATIO
-        error = math.hypot(noise, frame.quality.expected)
+        error = math.hypot(noise_after(rung, effort), frame.quality.expected)
         pixels = controls + foreseen_paths(points, error, target, PIXELS * effort)
         texels = float(rung - FIRST_LEVEL) * len(reading.samples)
         ways.append(PathsLeft(pixels, texels, times))

@@ -36,6 +36,13 @@ FIRST_PATHS = 16
 """Number of independent randomisations of each pixel, and paths of each after the first step."""
 
 
+FIRST_SHOWN_PATHS = 4
+SHOWN_FACTOR = 4
+"""Paths of each replica after the first step of a picture that paths alone light, and the factor on
+them in each further step.
+"""
+
+
 CONTRASTS = np.array([[1.0, -1.0, 1.0, -1.0], [1.0, 1.0, -1.0, -1.0], [1.0, -1.0, -1.0, 1.0]])
 """Weights of the replicas in each probe, times their number: of the same size as in the mean,
 with signs that make the probes independent of it and of each other.
@@ -72,6 +79,12 @@ SAME_SURFACE = 0.01
 AIM = 0.85
 """Share of the target error that is aimed at, as the interval of the measured error has some
 width.
+"""
+
+
+AIM_OF_PATHS = 0.75
+"""Share of the target error that the noise of a picture by paths alone may have. The filter of
+pixels adds 0.5 to 0.7 of the noise as a bias.
 """
 
 
@@ -225,11 +238,28 @@ class PixelLight:
         )
         framebuffer.radiance[pixels] = np.clip(corrected * tints, 0.0, np.finfo(np.float32).max)
         # Pixels with traced light are final, with the error of the mixture.
-        shown = np.maximum(
-            framebuffer.radiance[traced] @ LUMINANCE_WEIGHTS, MIN_LIGHT * light.spec.unit
-        )
-        framebuffer.state[traced] = FINAL
-        framebuffer.error[traced] = np.minimum(np.sqrt(square * grey) / shown, 1.0)
+        settle(framebuffer, traced, square * grey, light)
+
+    def show(self, framebuffer: Framebuffer, gbuffer: GBuffer, light: RotatedLight) -> None:
+        """Write the light into a picture of a G-buffer as it is, without any light of texels. Its
+        pixels become final.
+        """
+        traced = gbuffer.pixels[self.places]
+        framebuffer.radiance[traced] = np.clip(self.light, 0.0, np.finfo(np.float32).max)
+        settle(framebuffer, traced, self.variance, light)
+
+
+def settle(
+    framebuffer: Framebuffer, pixels: np.ndarray, square: np.ndarray, light: RotatedLight
+) -> None:
+    """Make ``pixels`` (k,) of a picture final, whose luminance has the mean squared errors
+    ``square`` (k,).
+    """
+    shown = np.maximum(
+        framebuffer.radiance[pixels] @ LUMINANCE_WEIGHTS, MIN_LIGHT * light.spec.unit
+    )
+    framebuffer.state[pixels] = FINAL
+    framebuffer.error[pixels] = np.minimum(np.sqrt(square) / shown, 1.0)
 
 
 def tints_of(light: RotatedLight, gbuffer: GBuffer, tiles: Tiles) -> np.ndarray:
@@ -292,12 +322,16 @@ class Choice:
 
 @dataclass(eq=False)
 class Growth:
-    """The ``light`` that the points of a ``choice`` have so far; ``traced`` counts the paths of
-    the step that is under way.
+    """The ``light`` that the points of a ``choice`` have so far.
+
+    - ``shown``: True if the picture shows the light of each step. It has no other light then, so
+      that the first step is a short one; and there are few steps, as each costs a picture.
+    - ``traced``: number of paths of the step that is under way.
     """
 
     choice: Choice
     light: PixelLight
+    shown: bool = False
     traced: int = 0
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
@@ -332,12 +366,22 @@ class Growth:
 
         Points that joined first catch up with the others. Then paths grow to the number that is
         wanted, but at most to twice as many, so that a cancelled step loses little, and at least by
-        an eighth, so that few steps are needed.
+        an eighth, so that few steps are needed. If each step is shown, points catch up in several
+        of them, and paths grow faster.
         """
         before = self.light.count
+        if self.shown:
+            factor = SHOWN_FACTOR
+        else:
+            factor = 2
+        if self.has_new and self.shown:
+            return FIRST_SHOWN_PATHS
         if self.has_new:
             return max(before, FIRST_PATHS)
-        return min(2 * before, max(math.ceil(self.wanted), before + before // 8))
+        fewest = self.light.estimate.fewest
+        if fewest < before:
+            return min(factor * fewest, before)
+        return min(factor * before, max(math.ceil(self.wanted), before + max(before // 8, 1)))
 
     @property
     def left(self) -> float:
@@ -381,6 +425,19 @@ def choose_points(
     best = int(np.argmin(costs))
     places = np.sort(order[: many[best]])
     return Choice(places, float(room[best]), float(counts[best]), np.sqrt(errors))
+
+
+def all_points(points: int, error: float, target: float, mean: float, effort: float) -> Choice:
+    """Choose all ``points`` of a picture, to bring its noise to AIM_OF_PATHS times the ``target``
+    by paths alone.
+
+    ``mean`` is the luminance of the picture, ``error`` the relative error that is expected of its
+    texels. A point takes ``effort`` / e^RATE paths to a relative error e.
+    """
+    aim = AIM_OF_PATHS * target
+    count = max(effort / aim**RATE / REPLICAS, 1.0)
+    expected = np.full(points, error * mean)
+    return Choice(np.arange(points), points * (aim * mean) ** 2, count, expected)
 
 
 SHARES = 64

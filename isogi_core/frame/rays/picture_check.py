@@ -9,6 +9,7 @@ step follows from the light of the texels and from the earlier steps on the same
 the same view gets the same bits for every client and after every restart.
 """
 
+import math
 import threading
 import time
 from collections.abc import Sequence
@@ -16,6 +17,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from isogi_core.bake.noise import RATE
 from isogi_core.bake.texel_light import next_level
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer
@@ -34,7 +36,7 @@ from isogi_core.frame.rays.control_pixels import (
     trace_controls,
     variance_of_halves,
 )
-from isogi_core.frame.rays.own_light import AIM, MOST_PATHS, Growth, PixelLight
+from isogi_core.frame.rays.own_light import AIM, MOST_PATHS, Choice, Growth, PixelLight
 from isogi_core.frame.rays.picture_plan import (
     QUIETER,
     Ahead,
@@ -63,7 +65,10 @@ the controls are in doubt, not the light.
 
 
 CARRIED_ATTEMPTS = 1
-"""Attempts with light that was carried over from other views, before it is dropped."""
+CARRIED_ATTEMPTS_BY_PATHS = 2
+"""Attempts with light that was carried over from other views, before it is dropped; and the same if
+paths alone light the picture: all points take more of them in the second one.
+"""
 
 EARLY_PATHS = 64
 """Paths of each half of a control while light of the picture is still to come: its error is 5 % or
@@ -82,6 +87,7 @@ class PictureCheck:
     - ``coarse``: True if finer texels are to be shown in place of this picture.
     - ``declined``: True if finer texels were refused.
     - ``ahead``: work that is expected to remain; None before the picture was measured.
+    - ``whole``: the choice of all points, if paths alone light the picture.
 
     Only the thread that holds the ``lock`` takes a step.
     """
@@ -93,6 +99,7 @@ class PictureCheck:
     coarse: bool = False
     declined: bool = False
     ahead: Ahead | None = None
+    whole: Choice | None = None
     lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
     @property
@@ -156,7 +163,8 @@ class PictureCheck:
             return self._deepen(frame.gbuffer, tiles)
         # Light that was carried over from other views is a fraction of a pixel aside. If it keeps
         # the picture from its target, the light of these pixels is traced anew.
-        if len(self.known.carried) and self.known.attempt >= CARRIED_ATTEMPTS:
+        attempts = CARRIED_ATTEMPTS_BY_PATHS if self.known.by_paths else CARRIED_ATTEMPTS
+        if len(self.known.carried) and self.known.attempt >= attempts:
             self._drop_carried(frame.gbuffer, tiles)
             return True
         # The picture misses its target. Take the first step of the cheapest plan: rungs, or light
@@ -172,6 +180,34 @@ class PictureCheck:
         if plan.rungs:
             return not plan.finer and self._climb(frame, rungs_at_once(plan.rungs, climbs, first))
         return self._grow(Growth(plan.choice, self.known.own), frame.gbuffer, tiles)
+
+    def scout(self, gbuffer: GBuffer, tiles: Tiles) -> tuple[float, float]:
+        """Trace a few controls, drawn evenly from a picture that has no light yet. Return its mean
+        luminance, and the effort of a point: the number of paths, times e^RATE, that bring it to a
+        relative error e. Raises Cancelled.
+        """
+        even = np.ones(len(gbuffer.pixels))
+        controls = self._draw(gbuffer, even, (0, FIRST_CONTROLS), EARLY_PATHS, tiles)
+        self.known = replace(
+            self.known, uncertainty=even, controls=controls, drawn=0, paths=EARLY_PATHS
+        )
+        mean = float((controls.weights * controls.halves.mean(axis=1)).mean())
+        error = math.sqrt(max(controls.noise, 0.0)) / max(mean, np.finfo(np.float64).tiny)
+        return mean, EARLY_PATHS * error**RATE
+
+    def light_by_texels(self) -> None:
+        """Have the picture read texels."""
+        self.known = replace(self.known, by_paths=False)
+
+    def light_by_paths(self, choice: Choice, carried: PixelLight) -> None:
+        """Have all points of a picture lit by paths of their own, until they are as precise as a
+        ``choice`` of all points asks. Points with light ``carried`` over from other views begin
+        with it.
+        """
+        self.whole = choice
+        self.known = replace(self.known, own=carried, carried=carried.places, by_paths=True)
+        self.growing = Growth(choice, carried, shown=True)
+        self.ahead = Ahead(2.0 * paths_for(self.known.goal.error) * FIRST_CONTROLS, times=1)
 
     def decline(self) -> None:
         """Go on without finer texels: memory has no room for them."""
@@ -405,19 +441,26 @@ class PictureCheck:
         if count > MOST_PATHS:
             return False
         # Count the paths of this step apart, so that other threads see its progress.
-        self.growing = Growth(growth.choice, growth.light)
+        self.growing = replace(growth, traced=0)
         begun = time.perf_counter()
         light = growth.light.grown(
             growth.choice, count, self.light, gbuffer, tiles, self.growing.note
         )
         self.pace = (time.perf_counter() - begun) / max(self.growing.traced, 1)
-        self.growing = Growth(growth.choice, light)
+        self.growing = replace(growth, light=light, traced=0)
+        # A picture by paths alone has no other light to show meanwhile.
+        if self.known.by_paths:
+            self.known = replace(self.known, own=light)
         # The light is good enough: show it, and drop the controls, which measured the picture
         # without it.
         if count == MOST_PATHS or self.growing.enough:
             known = self.known
             self.known = PictureState(
-                known.goal, own=light, carried=known.carried, attempt=known.attempt + 1
+                known.goal,
+                own=light,
+                carried=known.carried,
+                attempt=known.attempt + 1,
+                by_paths=known.by_paths,
             )
             self.growing = None
         return True
@@ -439,8 +482,12 @@ class PictureCheck:
 
     def _drop_carried(self, gbuffer: GBuffer, tiles: Tiles) -> None:
         """Forget the light that was carried over. Pixels whose light was traced for themselves
-        keep it. Raises Cancelled.
+        keep it. The others are traced next if paths alone light the picture. Raises Cancelled.
         """
         known = self.known
         own = known.own.without(known.carried, self.light, gbuffer, tiles)
-        self.known = PictureState(known.goal, own=own, attempt=known.attempt)
+        self.known = PictureState(
+            known.goal, own=own, attempt=known.attempt, by_paths=known.by_paths
+        )
+        if known.by_paths and self.whole is not None:
+            self.growing = Growth(self.whole, own, shown=True)

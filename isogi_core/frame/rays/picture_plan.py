@@ -11,11 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from isogi_core.bake.noise import RATE
 from isogi_core.bake.texel_light import FIRST_LEVEL, next_level
 from isogi_core.cache.costs import TASK_OVERHEAD_SECONDS
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.rays.control_pixels import MAX_CONTROLS, TotalError
-from isogi_core.frame.rays.own_light import Choice, choose_points
+from isogi_core.frame.rays.own_light import AIM_OF_PATHS, Choice, choose_points
 from isogi_core.model.scene_plan import most_samples
 from isogi_core.plan.variants import FINER_FACTOR
 
@@ -50,18 +51,25 @@ to 2 s.
 
 
 class Prices(NamedTuple):
-    """Costs of texels, in paths of pixels: of each ``path``, of each ``task``, and of
-    ``opening`` finer texels. By default those for a picture that somebody waits for.
+    """Costs in paths of pixels: of each ``path`` of a texel, of each ``task``, and of ``opening``
+    finer texels; ``alone`` is the factor on paths of a picture that reads no texels. By default
+    those for a picture that somebody waits for.
     """
 
     path: float = COUNTED_TEXEL_SHARE * HEAVIER
     task: float = TASK
     opening: float = FINER_TEXELS_COST
+    alone: float = 1.0
 
     @property
     def of_present(self) -> "Prices":
         """The prices without finer texels, whose price is infinite."""
         return self._replace(opening=math.inf)
+
+    @property
+    def of_texels(self) -> "Prices":
+        """The prices of a picture whose texels are to be baked in any case."""
+        return self._replace(alone=math.inf)
 
 
 AWAITED = Prices()
@@ -70,7 +78,7 @@ AWAITED = Prices()
 PRESENT: Prices = AWAITED.of_present
 """Prices for a picture that somebody waits for, without finer texels."""
 
-SHARED_PRICES = Prices(COUNTED_TEXEL_SHARE, 0.0).of_present
+SHARED_PRICES = Prices(COUNTED_TEXEL_SHARE, 0.0).of_present.of_texels
 """Prices for a picture that stands for others, of any size: all of these read its texels, and
 none the light of its pixels.
 """
@@ -159,6 +167,14 @@ def noise_of_climbers(frame: Frame) -> float:
     reading = lacking.reading
     variance = np.where(reading.samples > 0, reading.error.astype(np.float64) ** 2, 0.0)
     return float(variance[reading.noisy].sum() / max(variance.sum(), 1e-300))
+
+
+def paths_alone(points: int, effort: float, target: float) -> float:
+    """Return the number of paths that bring the noise of ``points`` points of a picture to
+    AIM_OF_PATHS times the ``target``, if it reads no texels. A point takes ``effort`` / e^RATE
+    paths to a relative error e.
+    """
+    return points * effort / (AIM_OF_PATHS * target) ** RATE
 
 
 def climbs_of(frame: Frame, rung: int, target: float) -> list[float]:

@@ -22,6 +22,8 @@ class PictureState:
     - ``own``: light that pixels have from paths of their own.
     - ``carried`` (k,): rows of the surface points whose light was carried over from other views.
     - ``attempt``: number of times that pixels have got light of their own; each has new controls.
+    - ``by_paths``: True if the picture shows paths of its pixels and reads no texels; None before
+      that was decided.
     - ``ended``: True if the last step found nothing to do.
     - ``drawn``: the rung on which the controls were drawn.
     - ``paths``: number of paths in each half of a control.
@@ -33,6 +35,7 @@ class PictureState:
     own: PixelLight = field(default_factory=PixelLight.none)
     carried: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))
     attempt: int = 0
+    by_paths: bool | None = False
     ended: bool = False
     drawn: int = 0
     paths: int = 0
@@ -43,6 +46,11 @@ class PictureState:
         return (
             self.controls.nbytes + self.uncertainty.nbytes + self.own.nbytes + self.carried.nbytes
         )
+
+    @property
+    def covers(self) -> bool:
+        """True if each surface point of a picture by paths has light of its own."""
+        return bool(self.by_paths) and len(self.own.places) == len(self.own.expected) > 0
 
     @property
     def outdated(self) -> bool:

@@ -128,6 +128,11 @@ class Estimate:
         return int(self.counts.max(initial=0))
 
     @property
+    def fewest(self) -> int:
+        """The smallest number of rays of each replica from any point; 0 if there are no points."""
+        return int(self.counts.min()) if len(self.counts) else 0
+
+    @property
     def version(self) -> bytes:
         """A name of the rays that were cast."""
         return repr(int(self.counts.sum())).encode()

@@ -170,7 +170,8 @@ class Pictures:
         context = self._context
         frame = context.frame_of(view)
         more = True
-        prices = SHARED_PRICES if self._sample else AWAITED
+        # A prewarm is to fill the store: light of pixels would not last.
+        prices = SHARED_PRICES if self._sample else AWAITED.of_texels
         with time_limit(end) as over:
             while more and frame.checkable and not context.late(end):
                 try:

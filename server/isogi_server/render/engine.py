@@ -39,6 +39,7 @@ from isogi_server.render.bakes import (
     share_by_store,
 )
 from isogi_server.render.engine_workers import EngineWorkers, scheduler_of
+from isogi_server.render.idle_bakes import IDLE_VIEWER, IdleBakes, LitPicture
 from isogi_server.render.loaded_scene import LoadedScene, LoadedScenes, load_scene_parts, shared
 from isogi_server.render.picture_checks import CHECK, LIGHT_PATIENCE_SECONDS, PictureChecks
 from isogi_server.render.scene_kernels import SceneKernels
@@ -68,7 +69,7 @@ class Unfinished:
     - ``seconds``: time that drawing it took, by stage.
     - ``bake``, ``chunks``: light that it needs next.
     - ``later``: stages after that.
-    - ``read``: chunks that its texels read; None if it reads none.
+    - ``read``: chunks that its texels read; None if it reads none and takes no paths of pixels.
     - ``fineness``: steps by which its texels are finer.
     - ``foreseen``: paths that its pixels are expected to take, until it is measured.
     """
@@ -169,7 +170,8 @@ class RenderEngine:
         else:
             self._share = SharedScenes().share
         self._side_bakes = SideBakes(self.baker, self.store, projected)
-        self._checks = PictureChecks(self.check, self._checked)
+        self._checks = PictureChecks(self._check_further, self._checked)
+        self._idle = IdleBakes(self._bake_lacking, self.baker.leave)
         # Checks of pictures have separate threads, so that frames do not queue behind them.
         self._checking = Tiles()
         self._promises = Promises()
@@ -362,6 +364,31 @@ class RenderEngine:
             tiles = tiles.cancelled_by(event)
         return self._find(scene).check(view, goal, tiles, prices)
 
+    def _check_further(
+        self, scene: str, view: View, goal: Goal, cancelled: threading.Event
+    ) -> bool:
+        """Take one step of the check of a picture that a viewer looks at; return False if there was
+        none to take. If paths of its pixels lit the picture, its texels are baked later, while
+        nobody waits for a picture.
+        """
+        more = self.check(scene, view, goal, cancelled)
+        if not more and self._find(scene).renderer.checks.lit_by_paths(view, goal):
+            self._idle.add(LitPicture(scene, view, goal))
+        return more
+
+    def _bake_lacking(self, picture: LitPicture) -> BackgroundBake | None:
+        """Request the first light that the texels of a ``picture`` lack, of one stage, for
+        IDLE_VIEWER. Return None if they lack none, or if the store is only read. Raises
+        NoRoomError, and as ``frame`` does.
+        """
+        # The same view while it moves is not checked, and reads texels in any case.
+        moving = replace(picture.view, moving=True)
+        frame = self.survey(picture.scene, moving, Goal.checked(picture.goal.error))
+        bake, stage = self.lacking(picture.scene, frame)
+        if not stage.demands or self.store.only_read():
+            return None
+        return self.bake(bake, stage, IDLE_VIEWER)
+
     def want(self, scene: str, frame: Frame, goal: Goal, viewer: Viewer) -> frozenset[Index]:
         """Request the light that a ``frame`` lacks for its ``goal``, for a ``viewer``; return the
         chunks that will be baked.
@@ -370,6 +397,8 @@ class RenderEngine:
         are lit while texels are baked. CHECK stands for either in the returned set.
         """
         checking = frozenset({CHECK} if frame.refinable else ())
+        if frame.view.moving or not frame.final:
+            self._idle.disturb()
         if checking:
             # A picture with a part of its light is measured only if the rest takes its time.
             waits = frame.unmeasured and not self.store.only_read()
@@ -423,12 +452,16 @@ class RenderEngine:
             return lacks
         bake, stage = self.lacking(scene, frame)
         lacking = frame.quality.lacking
+        # A picture by paths of its pixels reads no texels, but paths are left all the same.
+        read = lacking.texels.chunks if lacking else None
+        if frame.by_paths:
+            read = ()
         return replace(
             lacks,
             bake=bake,
             chunks=tuple(demand.index for demand in stage.demands),
             later=(frame.quality.finer or frame).stages[1:],
-            read=lacking.texels.chunks if lacking else None,
+            read=read,
             fineness=frame.quality.fineness,
             foreseen=ViewChecks.foreseen(frame, goal),
         )
@@ -539,6 +572,7 @@ class RenderEngine:
         """
         self._stopped.set()
         self._checks.close()
+        self._idle.close()
         self.baker.stop()
         self.workers.close()
         self._loaded.close()

@@ -159,7 +159,8 @@ class LoadedScene:
         take. Raises as Renderer does.
         """
         if self.renderer.checks.asks_finer(view, goal):
-            return self.finer.check(view, goal, tiles, prices)
+            # Finer texels were chosen as they are cheaper than paths of pixels.
+            return self.finer.check(view, goal, tiles, prices.of_texels)
         return self.renderer.refine(
             view, goal, tiles, prices if has_finer(self.scene) else prices.of_present
         )

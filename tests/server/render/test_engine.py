@@ -18,6 +18,8 @@ import pytest
 
 from isogi_core.bake.noise import Goal
 from isogi_core.errors import Cancelled, StoreError
+from isogi_core.frame import frame as frame_module
+from isogi_core.frame import view_checks
 from isogi_core.frame.entry_kernels import FRAME, LOBES
 from isogi_core.frame.frame import Frame
 from isogi_core.kernels._compilation import Compilation, with_callees
@@ -522,3 +524,28 @@ def test_workers_are_told_absolute_paths(monkeypatch: pytest.MonkeyPatch, tmp_pa
     monkeypatch.chdir(tmp_path)
     assert whereabouts(StoreUrl("light", 1.0, 3)) == StoreUrl(str(tmp_path / "light"), 1.0, 3)
     assert whereabouts(StoreUrl("s3://bucket/light")) == StoreUrl("s3://bucket/light")
+
+
+def test_texels_of_a_picture_by_paths_are_baked_once_nobody_waits(
+    begin: Begin, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The picture is final before; views that move find their light afterwards."""
+    monkeypatch.setattr(frame_module, "QUICK_TEXELS", 0)
+    # Texels seem to cost more than any paths.
+    monkeypatch.setattr(view_checks, "HEAVIER", 1e9)
+    engine = begin()
+    (name,) = engine.scenes
+    scene = engine.scenes[name]
+    view = view_of(scene, 30.0)
+    goal = Goal.checked(scene.target_error)
+
+    def seen() -> Frame:
+        frame = engine.survey(name, view, goal)
+        engine.want(name, frame, goal, GUEST_VIEWER)
+        return frame
+
+    assert wait_for(lambda: seen().final, LONG)
+    frame = seen()
+    assert frame.by_paths and not frame.stages
+    moving = replace(view, moving=True)
+    assert wait_for(lambda: not engine.survey(name, moving, goal).provisional, LONG)

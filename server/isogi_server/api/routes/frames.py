@@ -309,9 +309,12 @@ async def complete(service: Service, picture: PictureRequest, job: Job) -> Frame
                 continue
             if frame.final:
                 return frame
-            # All texels are baked: measure and refine the picture, step by step.
+            # All texels are baked, or none are to be: measure and refine the picture, step by step.
             if frame.checkable:
-                job.report(1.0, "All light is baked; control pixels measure the picture.")
+                if frame.provisional or frame.by_paths:
+                    job.report(0.0, "Paths are traced from the pixels of the picture.")
+                else:
+                    job.report(1.0, "All light is baked; control pixels measure the picture.")
                 await service.check(picture)
                 continue
             # Have the next stage of light baked, and draw the picture again.
