@@ -1,6 +1,7 @@
 """Scenes and pictures of the Python interface: see ``isogi.open``."""
 
 import io
+import json
 import shutil
 import tempfile
 import tomllib
@@ -459,7 +460,9 @@ def toml_value(value: Any, base: Path) -> str:
     folder ``base`` of the scene file, becomes its absolute path.
     """
     if isinstance(value, Mapping):
-        parts = ", ".join(f"{key} = {toml_value(each, base)}" for key, each in value.items())
+        parts = ", ".join(
+            f"{toml_text(str(key))} = {toml_value(each, base)}" for key, each in value.items()
+        )
         return f"{{ {parts} }}"
     if isinstance(value, list | tuple):
         return f"[{', '.join(toml_value(each, base) for each in value)}]"
@@ -467,9 +470,16 @@ def toml_value(value: Any, base: Path) -> str:
         return str(value).lower()
     if isinstance(value, int | float):
         return repr(value)
-    # A # and the choice of a part of the file may follow its name, as in "scan.h5#time=3".
-    name, mark, part = str(value).partition("#")
-    if name and (base / name).exists():
-        value = f"{(base / name).resolve()}{mark}{part}"
-    escaped = str(value).replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
-    return f'"{escaped}"'
+    # A # and the choice of a part of the file may follow its name, as in "scan.h5#time=3"; a name
+    # may have a # itself.
+    text = str(value)
+    for name, mark, part in ((text, "", ""), text.rpartition("#"), text.partition("#")):
+        if name and (base / name).exists():
+            text = f"{(base / name).resolve()}{mark}{part}"
+            break
+    return toml_text(text)
+
+
+def toml_text(text: str) -> str:
+    """Return a text as a basic string of TOML, which has the escapes of JSON."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import click
 import numpy as np
 
 from benchmarks.common.mesh import make_mesh
@@ -44,6 +45,8 @@ def surface_of(scene: Scene, albedo: Sequence[float]) -> dict[str, Any]:
     the rest clear.
     """
     if scene.surfaces.material.refracts:
+        if any(scene.surfaces.material.absorption):
+            raise click.ClickException("Mitsuba's scene has no glass that absorbs: leave it out.")
         return {"type": "dielectric", "int_ior": scene.surfaces.material.index, "ext_ior": 1.0}
     if scene.surfaces.shine is not None and scene.surfaces.shine.strength:
         metal = {"type": "principled", "metallic": 1.0, "roughness": scene.surfaces.shine.roughness}

@@ -92,7 +92,7 @@ def cells_of(voxels: np.ndarray, level: float) -> tuple[np.ndarray, int]:
 
     Cells next to a voxel that is NaN are neither.
     """
-    found = []
+    found = [np.empty((0, 3), np.int64)]
     solid = 0
     for z in range(len(voxels) - 1):
         slab = voxels[z : z + 2]

@@ -4,6 +4,7 @@ import json
 import shutil
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -154,5 +155,14 @@ def test_values_become_text_and_toml(tmp_path: Path) -> None:
     lights = [{"type": "probe", "file": "probe.hdr"}]
     document = {"lights": lights, "name": 'a "b"', "on": True, "order": 3}
     text = toml_of(SceneSource("a", document, tmp_path))
-    assert f'file = "{tmp_path / "probe.hdr"}"' in text and r'name = "a \"b\""' in text
-    assert "on = true" in text and "\nresearch = { order = 3 }" in text
+    assert f'"file" = "{tmp_path / "probe.hdr"}"' in text and r'name = "a \"b\""' in text
+    assert "on = true" in text and '\nresearch = { "order" = 3 }' in text
+
+
+def test_any_text_survives_toml(tmp_path: Path) -> None:
+    """Files whose names have a #, odd keys, and characters that TOML does not take as they are."""
+    (tmp_path / "a#b.h5").touch()
+    odd = {"two words": "bell \x07, delete \x7f, é", "volume": "a#b.h5#time=3"}
+    read = tomllib.loads(toml_of(SceneSource("a", {"meta": odd}, tmp_path)))["meta"]
+    assert read["two words"] == odd["two words"]
+    assert read["volume"] == f"{tmp_path / 'a#b.h5'}#time=3"

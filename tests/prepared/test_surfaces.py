@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import isogi_core.prepared.isosurface_mesh as module
-from isogi_core.model.volume import make_volume
+from isogi_core.model.volume import Isovalue, make_volume
 from isogi_core.prepared.isosurface_mesh import (
     Mesh,
     SurfaceSize,
@@ -224,6 +224,13 @@ def test_some_cells_stand_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
     assert part.area == pytest.approx(whole.area, rel=5e-4)
     assert part.volume == pytest.approx(whole.volume, rel=5e-4)
     assert part != whole
+
+
+def test_a_plane_between_two_layers_has_its_area() -> None:
+    """No layer is left to compare with if every other one is dropped."""
+    voxels = np.zeros((2, 5, 5), np.float32)
+    voxels[1] = 1.0
+    assert surface_size(voxels, Isovalue(0.5), np.eye(3)).area == pytest.approx(16.0)
 
 
 def test_where_no_surface_is_there_is_no_area() -> None:

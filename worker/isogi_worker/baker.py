@@ -534,6 +534,10 @@ class Baker:
             )
             for task, outcome in zip(tasks, outcomes, strict=True):
                 self._settle(scene, task, outcome)
+            # Tasks that were done together failed together: one failure of the store counts once.
+            for error in {id(each): each for each in outcomes}.values():
+                if isinstance(error, StoreAwayError):
+                    self._pause_for(error)
             self._changed.notify_all()
             self._feed()
             open_still = [bool(self._queue.open([(scene, task.index)])) for task in tasks]
@@ -567,19 +571,17 @@ class Baker:
             # The workers are gone, which is no fault of the chunk: try it again when others come.
             self._queue.put_off(key)
         elif isinstance(outcome, StoreAwayError):
-            self._put_off(key, outcome)
+            # The chunk is not to blame: the task does not count as a failure of it.
+            self._queue.put_off(key)
         elif self._pool is not None:
             # Tasks that end after the baker has stopped do not count as failures.
             self._fail(key, outcome)
 
-    def _put_off(self, key: Key, error: StoreAwayError) -> None:
-        """Postpone a task that could not reach the store,
-        and pause baking until the store is back.
-
-        The chunk is not to blame, so the task does not count as a failure of it.
+    def _pause_for(self, error: StoreAwayError) -> None:
+        """Pause baking until the store is back that a task could not reach. The caller must hold
+        the lock.
         """
         former_reason = self._pause.reason
-        self._queue.put_off(key)
         if self._pool is not None:
             self._pause.begin(str(error))
         # Log the beginning of a pause only, and not each try that fails during it.

@@ -760,7 +760,7 @@ def _skip_lines(name: str, header: Header, file: IO[bytes], size: int) -> int:
         int(header.get(f"{what} skip") or header.get(f"{what}skip") or 0)
         for what in ("line", "byte")
     )
-    from_end = count == -1 and header["encoding"] == "raw"
+    from_end = count == -1 and header["encoding"].lower() in _RAW
     if lines < 0 or (count < 0 and not from_end):
         raise VolumeError(
             f"'{name}' skips {lines} lines and {count} bytes, which cannot be: mend its header."

@@ -147,9 +147,11 @@ class ControlPictures:
         """Return one total error of all pictures, drawn from the light that there is now in a
         ``coding``.
 
-        The errors of each picture are relative to its own mean luminance. There is at least one
-        picture. Raises the errors of ``Loader.ensure``.
+        The errors of each picture are relative to its own mean luminance. If no view shows a
+        surface, there is no error. Raises the errors of ``Loader.ensure``.
         """
+        if not self._controls:
+            return TotalError(0.0, 0.0, 0.0)
         squares = []
         for number, each in enumerate(self._controls):
             squares.append(self._squares(each, coding))

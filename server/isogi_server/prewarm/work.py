@@ -712,7 +712,8 @@ def bake_range(
             if lacked.demands:
                 break
             rung = next_level(rung)
-        pictures = pictures or trace_controls(context, list(views))
+        if pictures is None:
+            pictures = trace_controls(context, list(views))
         error = pictures.measure(coding).likely
         # Stop at the target, or if another level is not worth it.
         if error <= target or error > WORTHWHILE_ERROR_RATIO * before or rung >= most:
