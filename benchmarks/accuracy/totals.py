@@ -34,6 +34,7 @@ from isogi_core.bake.noise import Goal
 from isogi_core.files.radiance import write_hdr
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.rays.control_pixels import TotalError
+from isogi_core.frame.rays.own_light import PixelLight, all_points
 from isogi_core.frame.rays.tail_error import TailError
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import View, quaternion_from_angles
@@ -74,6 +75,9 @@ TURNS = {"": None, " turned": (110.0, 25.0, 0.0)}
 """Angles (z, y, x), in degrees, that lights are turned by; those that stand as their files have
 them, and others.
 """
+
+FORESEEN = 0.05
+"""Relative error that is assumed of texels that are never baked."""
 
 STEP = 10.0
 """Degrees of azimuth between a view and the next."""
@@ -202,6 +206,9 @@ def measurement_of(
     help="Every so many-th scene, from which on.",
 )
 @click.option(
+    "--by-paths", is_flag=True, help="Light pictures by paths alone, as if their texels cost more."
+)
+@click.option(
     "--kept", type=Path, help="A file of views measured before, and where others are added."
 )
 def totals(
@@ -211,6 +218,7 @@ def totals(
     seed: tuple[int, ...],
     only: tuple[str, ...],
     share: str,
+    by_paths: bool,
     kept: Path | None,
 ) -> Measurement:
     """What pictures tell of their total error, beside the truth, and what reaching the target
@@ -227,7 +235,8 @@ def totals(
                 # A row is measured as a whole, as each of its views depends on those before.
                 row = [view for each in names if (view := known.get(each)) is not None]
                 if len(row) < views:
-                    row = [known.put(each) for each in measure(names, bench(), angles, paths)]
+                    measured = measure(names, bench(), angles, paths, by_paths)
+                    row = [known.put(each) for each in measured]
                 found += row
                 for each in row:
                     click.echo(" | ".join(row_of(each)), err=True)
@@ -308,13 +317,18 @@ def later(number: int) -> str:
 
 
 def measure(
-    names: Sequence[str], bench: Bench, angles: tuple[float, float, float] | None, paths: int
+    names: Sequence[str],
+    bench: Bench,
+    angles: tuple[float, float, float] | None,
+    paths: int,
+    by_paths: bool = False,
 ) -> Iterator[Found]:
     """Yield what is found of each view of a row, with the light turned by ``angles``: bring its
     picture to its target, and hold it against the truth.
 
     Texels are baked anew for each view, in unturned light. One renderer draws the row, so that
-    later views take over light that was traced for earlier ones.
+    later views take over light that was traced for earlier ones. If ``by_paths``, paths alone light
+    the pictures.
     """
     kept = bench.renderer(bench.scene)
     renderer = Renderer(kept.caches, bench.tiles)
@@ -326,6 +340,8 @@ def measure(
             turned = baked
         folder = bench.folder / f"{'turned' if angles else 'still'}-{number}"
         best = quiet_reference(replace(bench, view=turned, folder=folder, _made={}), paths)
+        if by_paths:
+            go_by_paths(renderer, turned)
         yield measure_view(name, ViewBake(kept, baked), renderer, turned, best)
 
 
@@ -360,6 +376,18 @@ def measure_view(
         seconds=sum(spent),
         tail=last.tail,
     )
+
+
+def go_by_paths(renderer: Renderer, view: View) -> None:
+    """Have paths alone light the picture of a ``view``, as if its texels cost more."""
+    goal = Goal.checked(renderer.prepared.scene.target_error)
+    gbuffer = renderer.gbuffer(view)
+    check = renderer.checks.of(renderer.shot(view, gbuffer, goal, renderer.tiles))
+    mean, effort = check.scout(gbuffer, renderer.tiles)
+    choice = all_points(len(gbuffer.pixels), FORESEEN, goal.error, mean, effort)
+    check.light_by_paths(choice, PixelLight.none())
+    # The first step lights all pixels.
+    renderer.refine(view, goal)
 
 
 def lit_frame(bake: ViewBake, renderer: Renderer, view: View, goal: Goal) -> Frame:
