@@ -377,17 +377,23 @@ class RenderEngine:
         return more
 
     def _bake_lacking(self, picture: LitPicture) -> BackgroundBake | None:
-        """Request the first light that the texels of a ``picture`` lack, of one stage, for
-        IDLE_VIEWER. Return None if they lack none, or if the store is only read. Raises
-        NoRoomError, and as ``frame`` does.
+        """Request the first light that texels of a ``picture`` lack, of one stage, for IDLE_VIEWER:
+        first of those that the view reads while it moves, then of all. Return None if they lack
+        none, or if the store is only read. Raises NoRoomError, and as ``frame`` does.
         """
-        # The same view while it moves is not checked, and reads texels in any case.
-        moving = replace(picture.view, moving=True)
-        frame = self.survey(picture.scene, moving, Goal.checked(picture.goal.error))
-        bake, stage = self.lacking(picture.scene, frame)
-        if not stage.demands or self.store.only_read():
+        if self.store.only_read():
             return None
-        return self.bake(bake, stage, IDLE_VIEWER)
+        moving = replace(picture.view, moving=True)
+        for view in (moving, picture.view):
+            # With this goal a view at rest is not checked, and reads texels in any case.
+            frame = self.survey(picture.scene, view, Goal(picture.goal.error))
+            for stage in frame.stages:
+                unlit = tuple(demand for demand in stage.demands if demand.effort.unlit)
+                if unlit:
+                    first = replace(stage, demands=unlit, goal=Goal.checked(picture.goal.error))
+                    bake = self.bake_at(picture.scene, spec_name(view.shading), first)
+                    return self.bake(bake, first, IDLE_VIEWER)
+        return None
 
     def want(self, scene: str, frame: Frame, goal: Goal, viewer: Viewer) -> frozenset[Index]:
         """Request the light that a ``frame`` lacks for its ``goal``, for a ``viewer``; return the
