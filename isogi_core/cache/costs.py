@@ -29,7 +29,7 @@ loses the costs of at most this time.
 """
 
 
-TASK_OVERHEAD_SECONDS = 1.0 / 128.0
+TASK_OVERHEAD_SECONDS = 1.0 / 512.0
 """Processor seconds of a worker that a task takes for each chunk in addition to its paths."""
 
 

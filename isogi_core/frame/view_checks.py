@@ -14,8 +14,8 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import surface_key
 from isogi_core.frame.rays.carried_light import MOST_CHANGE, TracedLight, TracedPoints, carried_key
 from isogi_core.frame.rays.control_pixels import CONTROLS_IF_MISSED, FIRST_CONTROLS, paths_for
-from isogi_core.frame.rays.own_light import PixelLight, all_points, foreseen_paths
-from isogi_core.frame.rays.picture_check import PictureCheck
+from isogi_core.frame.rays.own_light import PATHS_RATE, PixelLight, all_points, foreseen_paths
+from isogi_core.frame.rays.picture_check import EARLY_PATHS, PictureCheck
 from isogi_core.frame.rays.picture_plan import (
     AWAITED,
     HEAVIER,
@@ -122,8 +122,10 @@ class ViewChecks(Refinement[PictureCheck]):
             check.light_by_texels()
             return
         target = shot.goal.error
-        mean, effort = check.scout(frame.gbuffer, shot.tiles)
-        left = foreseen_work(frame, lacking.reading, target, effort / PIXELS)
+        mean, early = check.scout(frame.gbuffer, shot.tiles)
+        effort = EARLY_PATHS * early**PATHS_RATE
+        of_texel = EARLY_PATHS * early**RATE / PIXELS
+        left = foreseen_work(frame, lacking.reading, target, of_texel)
         # Their paths count in full here: the picture waits for all of them.
         first = FIRST_LEVEL * frame.unlit_texels
         texels = HEAVIER * (first + left.texels) + left.pixels
@@ -135,7 +137,7 @@ class ViewChecks(Refinement[PictureCheck]):
         if mean <= 0.0 or alone + controls_of(target) >= texels:
             check.light_by_texels()
             return
-        error = math.hypot(noise_after(FIRST_LEVEL, effort / PIXELS), frame.quality.expected)
+        error = math.hypot(noise_after(FIRST_LEVEL, of_texel), frame.quality.expected)
         check.light_by_paths(all_points(points, error, target, mean, effort), carried)
 
     def _all_carried(self, shot: Shot) -> PixelLight:

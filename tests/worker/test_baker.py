@@ -482,17 +482,17 @@ def test_one_task_that_misses_the_store_delays_no_other(
 
 def test_tasks_that_miss_the_store_together_miss_it_once(bench: Bench) -> None:
     """Baking pauses at the second failure, however many chunks the first one had."""
-    pool = bench.use_pool(1)
-    pool.together = 3
     bench.request(1, 2, 3)
+    pool = FakePool(1)
+    pool.together = 3
+    bench.baker.use_pool(pool)  # type: ignore[arg-type]
     tasks, done = pool.all_in_flight.pop()
     assert len(tasks) == 3
     done([GONE] * 3)
     assert bench.baker.paused() == ""
-    bench.request(1, 2, 3)
     tasks, done = pool.all_in_flight.pop()
     done([StoreAwayError("Gone again.")] * len(tasks))
-    assert bench.baker.paused() == "Gone again."
+    assert bench.baker.paused() == "Gone again." and not pool.all_in_flight
 
 
 def test_an_absent_store_is_tried_now_and_then_by_one_task(

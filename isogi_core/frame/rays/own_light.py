@@ -88,6 +88,12 @@ pixels adds 0.5 to 0.7 of the noise as a bias.
 """
 
 
+PATHS_RATE = (RATE + 2.0) / 2.0
+"""Exponent of paths over error, as predicted for pixels from a few controls: between RATE, as of
+points in strata, and 2, as of light that few paths find.
+"""
+
+
 @dataclass(frozen=True, eq=False)
 class PixelLight:
     """Light of k surface points that was traced for them.
@@ -432,10 +438,10 @@ def all_points(points: int, error: float, target: float, mean: float, effort: fl
     by paths alone.
 
     ``mean`` is the luminance of the picture, ``error`` the relative error that is expected of its
-    texels. A point takes ``effort`` / e^RATE paths to a relative error e.
+    texels. A point takes ``effort`` / e^PATHS_RATE paths to a relative error e.
     """
     aim = AIM_OF_PATHS * target
-    count = max(effort / aim**RATE / REPLICAS, 1.0)
+    count = max(effort / aim**PATHS_RATE / REPLICAS, 1.0)
     expected = np.full(points, error * mean)
     return Choice(np.arange(points), points * (aim * mean) ** 2, count, expected)
 

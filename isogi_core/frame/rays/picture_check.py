@@ -17,7 +17,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from isogi_core.bake.noise import RATE
 from isogi_core.bake.texel_light import next_level
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer
@@ -183,8 +182,7 @@ class PictureCheck:
 
     def scout(self, gbuffer: GBuffer, tiles: Tiles) -> tuple[float, float]:
         """Trace a few controls, drawn evenly from a picture that has no light yet. Return its mean
-        luminance, and the effort of a point: the number of paths, times e^RATE, that bring it to a
-        relative error e. Raises Cancelled.
+        luminance, and the relative error of a point after EARLY_PATHS paths. Raises Cancelled.
         """
         even = np.ones(len(gbuffer.pixels))
         controls = self._draw(gbuffer, even, (0, FIRST_CONTROLS), EARLY_PATHS, tiles)
@@ -192,8 +190,7 @@ class PictureCheck:
             self.known, uncertainty=even, controls=controls, drawn=0, paths=EARLY_PATHS
         )
         mean = float((controls.weights * controls.halves.mean(axis=1)).mean())
-        error = math.sqrt(max(controls.noise, 0.0)) / max(mean, np.finfo(np.float64).tiny)
-        return mean, EARLY_PATHS * error**RATE
+        return mean, math.sqrt(max(controls.noise, 0.0)) / max(mean, np.finfo(np.float64).tiny)
 
     def light_by_texels(self) -> None:
         """Have the picture read texels."""

@@ -11,12 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from isogi_core.bake.noise import RATE
 from isogi_core.bake.texel_light import FIRST_LEVEL, next_level
 from isogi_core.cache.costs import TASK_OVERHEAD_SECONDS
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.rays.control_pixels import MAX_CONTROLS, TotalError
-from isogi_core.frame.rays.own_light import AIM_OF_PATHS, Choice, choose_points
+from isogi_core.frame.rays.own_light import AIM_OF_PATHS, PATHS_RATE, Choice, choose_points
 from isogi_core.model.scene_plan import most_samples
 from isogi_core.plan.variants import FINER_FACTOR
 
@@ -171,10 +170,10 @@ def noise_of_climbers(frame: Frame) -> float:
 
 def paths_alone(points: int, effort: float, target: float) -> float:
     """Return the number of paths that bring the noise of ``points`` points of a picture to
-    AIM_OF_PATHS times the ``target``, if it reads no texels. A point takes ``effort`` / e^RATE
-    paths to a relative error e.
+    AIM_OF_PATHS times the ``target``, if it reads no texels. A point takes
+    ``effort`` / e^PATHS_RATE paths to a relative error e.
     """
-    return points * effort / (AIM_OF_PATHS * target) ** RATE
+    return points * effort / (AIM_OF_PATHS * target) ** PATHS_RATE
 
 
 def climbs_of(frame: Frame, rung: int, target: float) -> list[float]:
