@@ -484,7 +484,7 @@ def test_tasks_that_miss_the_store_together_miss_it_once(bench: Bench) -> None:
     """Baking pauses at the second failure, however many chunks the first one had."""
     bench.request(1, 2, 3)
     pool = FakePool(1)
-    pool.together = 3
+    pool.together = 8
     bench.baker.use_pool(pool)  # type: ignore[arg-type]
     tasks, done = pool.all_in_flight.pop()
     assert len(tasks) == 3
