@@ -116,7 +116,12 @@ class IdleBakes:
         waits for a picture; it is taken up again later then.
         """
         begun = time.monotonic()
+        former = None
         while (bake := self._begin(picture)) is not None and bake.coming:
+            # Chunks that still lack light after they were baked never get it.
+            if former == (bake.bake, bake.chunks):
+                return
+            former = bake.bake, bake.chunks
             while bake.waiting():
                 if self._interrupted(begun):
                     self._leave(IDLE_VIEWER)

@@ -24,9 +24,11 @@ def picture(isovalue: float) -> LitPicture:
 class Bake:
     """A bake that goes on until it is ``done``."""
 
-    def __init__(self) -> None:
+    def __init__(self, number: int) -> None:
         self.done = threading.Event()
         self.coming = frozenset({(0, 0, 0)})
+        self.bake = "bake"
+        self.chunks = [(0, 0, number)]
 
     def waiting(self) -> int:
         """The chunks that are left."""
@@ -34,13 +36,16 @@ class Bake:
 
 
 class Bakery:
-    """Notes which pictures are begun and which viewers leave; each picture has ``stages``."""
+    """Notes which pictures are begun and which viewers leave; each picture has ``stages``, of the
+    same chunk if it is ``stuck``.
+    """
 
     def __init__(self) -> None:
         self.begun: list[LitPicture] = []
         self.bakes: list[Bake] = []
         self.left: list[Viewer] = []
         self.stages = 1
+        self.stuck = False
         self.idle = IdleBakes(self.begin, self.left.append)  # type: ignore[arg-type]
 
     def begin(self, lit: LitPicture) -> Bake | None:
@@ -50,7 +55,7 @@ class Bakery:
         if sum(each is lit for each in self.begun) == self.stages:
             return None
         self.begun.append(lit)
-        self.bakes.append(Bake())
+        self.bakes.append(Bake(0 if self.stuck else len(self.bakes)))
         return self.bakes[-1]
 
 
@@ -72,6 +77,19 @@ def test_texels_are_baked_stage_after_stage(bakery: Bakery) -> None:
     bakery.bakes[0].done.set()
     assert wait_for(lambda: len(bakery.begun) == 2)
     assert not bakery.left
+
+
+def test_chunks_that_stay_unlit_are_not_baked_for_ever(bakery: Bakery) -> None:
+    """The same chunks again mean that nothing was gained; other pictures have their turn."""
+    bakery.stages = 9
+    bakery.stuck = True
+    bakery.idle.add(picture(1.0))
+    assert wait_for(lambda: len(bakery.begun) == 1)
+    bakery.bakes[0].done.set()
+    assert wait_for(lambda: len(bakery.begun) == 2)
+    bakery.idle.add(picture(2.0))
+    assert wait_for(lambda: len(bakery.begun) == 3)
+    assert [each.view.isovalue for each in bakery.begun] == [1.0, 1.0, 2.0]
 
 
 def test_somebody_who_waits_comes_first(bakery: Bakery) -> None:
