@@ -359,8 +359,8 @@ class Frame:
 
     @property
     def checkable(self) -> bool:
-        """True if a step of a check can improve the picture now: texels are final in the store,
-        and walls or control pixels have still to bring it to its target.
+        """True if a step of a check can improve the picture now: its texels have the light that
+        they are to have, or paths of its pixels need none, and it is not at its target.
         """
         # Walls that are not final are refined first, as soon as nothing but walls is left to wait
         # for.

@@ -61,8 +61,11 @@ class DrawnPicture:
 
     @property
     def nbytes(self) -> int:
-        """The size of its pictures in bytes."""
-        return sum(part.nbytes for part in self.frame.framebuffer)
+        """The size in bytes of its pictures, and of the light of pixels that it holds."""
+        own = 0
+        if self.frame.quality.known is not None:
+            own = self.frame.quality.known.own.nbytes
+        return own + sum(part.nbytes for part in self.frame.framebuffer)
 
 
 class SurfaceRenderer:
@@ -180,6 +183,8 @@ class SurfaceRenderer:
             known = self.checks.of(shot).known
         # Once all pixels have light from paths of their own, texels are not looked at.
         if known is not None and known.covers:
+            if self._too_large(shot.view):
+                return self._show_paths(known, shot)
             by_paths = (DrawnPicture, shot.view, shot.goal, known)
             show = partial(self._show_paths, known, shot)
             return self._kept.get(by_paths, lambda: DrawnPicture(show())).frame
@@ -218,10 +223,13 @@ class SurfaceRenderer:
             or scene.surfaces.several
             or scene.lighting.glowing.any
         )
-        pixels = view.width * view.height
-        if changing or view.moving or PIXEL_BYTES * pixels > self._most_of_kind:
+        if changing or view.moving or self._too_large(view):
             return None
         return self._texels.ages(texels, shot)
+
+    def _too_large(self, view: View) -> bool:
+        """Return True if the picture of a ``view`` exceeds the limit of its kind."""
+        return PIXEL_BYTES * view.width * view.height > self._most_of_kind
 
     def _carry_texels(self, texels: ViewTexels, known: PictureState | None, shot: Shot) -> Frame:
         """Draw a ``shot`` by the light of its ``texels``, with the light of pixels that its check

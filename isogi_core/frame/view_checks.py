@@ -88,6 +88,9 @@ class ViewChecks(Refinement[PictureCheck]):
         if frame.undecided and found.known.by_paths is None:
             self._decide(found, frame, shot, prices)
             return True
+        # A picture that began otherwise goes on so, even if light of its texels is lost.
+        if found.known.by_paths is None:
+            found.light_by_texels()
         # Pixels whose light grows were chosen before: nothing is drawn by the uncertainty then.
         if found.growing:
             uncertainty = found.known.uncertainty
@@ -205,10 +208,12 @@ class ViewChecks(Refinement[PictureCheck]):
         between[known.carried] = MOST_CHANGE * known.goal.error * carried
         return np.asarray(np.hypot(between, frame.pixel_noise))
 
-    def lit_by_paths(self, view: View, goal: Goal) -> bool:
-        """Return True if paths of its pixels light a view's picture, and no texels."""
+    def require_texels(self, view: View, goal: Goal) -> None:
+        """Have a view's picture read texels, even if paths of its pixels light it now."""
         check = self.held(view, goal)
-        return check is not None and bool(check.known.by_paths)
+        if check is not None and check.known.by_paths is not False:
+            with check.lock:
+                check.light_by_texels()
 
     def asks_finer(self, view: View, goal: Goal) -> bool:
         """Return True if the check of a view's picture asks for finer texels in its place."""

@@ -2,6 +2,7 @@
 workers.
 """
 
+import math
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -28,6 +29,7 @@ from isogi_core.model.view import View
 from isogi_core.model.volume import Volume, make_volume
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
+from isogi_core.reference import trace_reference
 from tests.loaded import load_scene
 
 CONSTANT = {"type": "constant", "radiance": 1.0}
@@ -128,6 +130,16 @@ def refine_chunk(loader: Loader, rung: int, target: float, demand: Demand) -> No
     chunk.light.put(rows, light)
     store.save(chunk)
     loader.refresh(demand.index)
+
+
+def true_error(bench: Workbench, frame: Frame) -> float:
+    """The error of a picture against long paths, less their noise."""
+    reference = trace_reference(bench.renderer, frame.view, 1024)
+    on = frame.state > 0
+    true = luminance(replace(frame, radiance=reference.mean))
+    wrong = np.sqrt(((luminance(frame) - true) ** 2).mean()) / true.mean()
+    assert on.any()
+    return math.sqrt(max(wrong**2 - reference.noise**2, 0.0))
 
 
 def reading_of(bench: Workbench, view: View, tiles: Tiles) -> Reading:

@@ -21,7 +21,8 @@ from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.view import View
 
 MOST_VIEWS = 8
-"""Number of earlier views whose points are kept."""
+MOST_BYTES = 64 << 20
+"""Number of earlier views whose points are kept, and the bytes that they may take."""
 
 FARTHEST = 1.0
 """Distance of two points, in pixels of the finer view, up to which one takes the other's light."""
@@ -134,10 +135,17 @@ class TracedLight:
 
     def joined(self, newest: TracedPoints) -> "TracedLight":
         """Return this light with the points of the ``newest`` view, which replace older ones of the
-        same view.
+        same view. At most MOST_VIEWS views and MOST_BYTES are kept, and the newest in any case.
         """
-        others = [each for each in self.views if each.view != newest.view]
-        return TracedLight((newest, *others[: MOST_VIEWS - 1]))
+        kept = [newest]
+        size = newest.nbytes
+        for each in self.views:
+            size += each.nbytes
+            if each.view == newest.view:
+                size -= each.nbytes
+            elif len(kept) < MOST_VIEWS and size <= MOST_BYTES:
+                kept.append(each)
+        return TracedLight(tuple(kept))
 
     def carried_to(self, shot: Shot, uncertainty: np.ndarray) -> PixelLight:
         """Return the light that points of a ``shot`` take over, each from the nearest point of all

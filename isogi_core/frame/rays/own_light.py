@@ -387,13 +387,17 @@ class Growth:
         fewest = self.light.estimate.fewest
         if fewest < before:
             return min(factor * fewest, before)
-        return min(factor * before, max(math.ceil(self.wanted), before + max(before // 8, 1)))
+        wanted = min(factor * before, max(math.ceil(self.wanted), before + max(before // 8, 1)))
+        # The last step is a short one. After it there is none: MOST_PATHS + 1 says so.
+        if before < MOST_PATHS:
+            return min(wanted, MOST_PATHS)
+        return MOST_PATHS + 1
 
     @property
     def left(self) -> float:
         """Paths that remain to be traced, of all points together."""
-        known = len(self.light.places) * self.light.count
-        return max(REPLICAS * (self.wanted * len(self.choice.places) - known) - self.traced, 0.0)
+        whole = REPLICAS * self.wanted * len(self.choice.places)
+        return max(whole - self.light.paths - self.traced, 0.0)
 
     def note(self, paths: int) -> None:
         """Count more ``paths`` as traced. Called from several threads."""

@@ -4,9 +4,12 @@ brings it to its target at the lowest cost.
 All texels of the picture climb a ladder of sample counts together (16, 32, 64, …). On each rung,
 control pixels measure the error of the picture as it is shown, filtered or not. Then one of three
 ways is taken: all texels climb on, finer texels replace them, or the pixels with the largest errors
-get light from paths of their own. The way with the fewest expected paths to the target wins. Each
-step follows from the light of the texels and from the earlier steps on the same rung alone, so that
-the same view gets the same bits for every client and after every restart.
+get light from paths of their own. The way with the fewest expected paths to the target wins. If
+paths alone light the picture (``light_by_paths``), they grow until their noise is small enough, and
+control pixels measure it then.
+
+Each step follows from the light of the texels, from light that was carried over, and from the
+earlier steps on the same rung alone.
 """
 
 import math
@@ -66,7 +69,7 @@ the controls are in doubt, not the light.
 CARRIED_ATTEMPTS = 1
 CARRIED_ATTEMPTS_BY_PATHS = 2
 """Attempts with light that was carried over from other views, before it is dropped; and the same if
-paths alone light the picture: all points take more of them in the second one.
+paths alone light the picture, where all points take more paths in the second attempt.
 """
 
 EARLY_PATHS = 64
@@ -193,8 +196,12 @@ class PictureCheck:
         return mean, math.sqrt(max(controls.noise, 0.0)) / max(mean, np.finfo(np.float64).tiny)
 
     def light_by_texels(self) -> None:
-        """Have the picture read texels."""
-        self.known = replace(self.known, by_paths=False)
+        """Have the picture read texels; forget paths that light it alone."""
+        if self.known.by_paths:
+            self.known = PictureState(self.known.goal)
+            self.growing = None
+        else:
+            self.known = replace(self.known, by_paths=False)
 
     def light_by_paths(self, choice: Choice, carried: PixelLight) -> None:
         """Have all points of a picture lit by paths of their own, until they are as precise as a
@@ -445,9 +452,11 @@ class PictureCheck:
         )
         self.pace = (time.perf_counter() - begun) / max(self.growing.traced, 1)
         self.growing = replace(growth, light=light, traced=0)
-        # A picture by paths alone has no other light to show meanwhile.
+        # A picture by paths alone has no other light to show meanwhile. It is not final before the
+        # growth ends, whatever the controls say that the growth was chosen by.
         if self.known.by_paths:
-            self.known = replace(self.known, own=light)
+            carried = self.known.carried[np.isin(self.known.carried, growth.light.places)]
+            self.known = replace(self.known, own=light, carried=carried, drawn=0)
         # The light is good enough: show it, and drop the controls, which measured the picture
         # without it.
         if count == MOST_PATHS or self.growing.enough:
@@ -483,8 +492,9 @@ class PictureCheck:
         """
         known = self.known
         own = known.own.without(known.carried, self.light, gbuffer, tiles)
-        self.known = PictureState(
-            known.goal, own=own, attempt=known.attempt, by_paths=known.by_paths
-        )
+        # A picture by paths has nothing else to show until the first step of the new growth.
         if known.by_paths and self.whole is not None:
+            self.known = replace(known, drawn=0)
             self.growing = Growth(self.whole, own, shown=True)
+        else:
+            self.known = PictureState(known.goal, own=own, attempt=known.attempt, by_paths=False)

@@ -66,6 +66,9 @@ class PictureState:
         if not len(own.places):
             return b""
         name = repr(own.count).encode() + hashlib.sha256(own.places.data).digest()
+        # Points that join catch up with the others in several steps.
+        if own.estimate.unequal:
+            name += hashlib.sha256(np.ascontiguousarray(own.estimate.counts).data).digest()
         # Paths of the points themselves follow from these; light that was carried does not.
         if len(self.carried):
             name += hashlib.sha256(np.ascontiguousarray(own.light).data).digest()

@@ -133,6 +133,11 @@ class Estimate:
         return int(self.counts.min()) if len(self.counts) else 0
 
     @property
+    def unequal(self) -> bool:
+        """True if some points have fewer rays than others."""
+        return self.fewest < self.most
+
+    @property
     def version(self) -> bytes:
         """A name of the rays that were cast."""
         return repr(int(self.counts.sum())).encode()

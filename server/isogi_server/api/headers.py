@@ -90,14 +90,18 @@ def frame_headers(
             "Isogi-Chunks": f"needed={frame.chunks_needed}, final={frame.chunks_final}",
             "ETag": tag,
             "Cache-Control": FOR_EVER if frame.final and version == tag.strip('"') else "no-cache",
-            "Cache-Status": cache_status(frame.chunks_needed, frame.chunks_final),
+            "Cache-Status": cache_status(frame.chunks_needed, frame.chunks_final, frame.by_paths),
             "Vary": "Accept" if frame.final else "Accept, Prefer",
         }
     )
 
 
-def cache_status(needed: int, final: int) -> str:
-    """Return the share of a frame's light that the store had (RFC 9211): hit, partial or miss."""
+def cache_status(needed: int, final: int, by_paths: bool) -> str:
+    """Return the share of a frame's light that the store had (RFC 9211): hit, partial or miss;
+    bypass if paths of its pixels light it.
+    """
+    if by_paths:
+        return "isogi-light; fwd=bypass"
     if needed == final:
         return "isogi-light; hit"
     return f"isogi-light; fwd={'partial' if final else 'miss'}"

@@ -169,6 +169,10 @@ class Pictures:
         """
         context = self._context
         frame = context.frame_of(view)
+        # Paths of pixels that somebody looked at before would not last in the store.
+        if frame.by_paths:
+            context.renderer.checks.require_texels(view, context.goal)
+            frame = context.frame_of(view)
         more = True
         # A prewarm is to fill the store: light of pixels would not last.
         prices = SHARED_PRICES if self._sample else AWAITED.of_texels

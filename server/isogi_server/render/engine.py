@@ -69,7 +69,8 @@ class Unfinished:
     - ``seconds``: time that drawing it took, by stage.
     - ``bake``, ``chunks``: light that it needs next.
     - ``later``: stages after that.
-    - ``read``: chunks that its texels read; None if it reads none and takes no paths of pixels.
+    - ``read``: chunks that its texels read, none of them if paths alone light it; None if it takes
+      no paths of pixels.
     - ``fineness``: steps by which its texels are finer.
     - ``foreseen``: paths that its pixels are expected to take, until it is measured.
     """
@@ -170,7 +171,7 @@ class RenderEngine:
         else:
             self._share = SharedScenes().share
         self._side_bakes = SideBakes(self.baker, self.store, projected)
-        self._checks = PictureChecks(self._check_further, self._checked)
+        self._checks = PictureChecks(self.check, self._checked)
         self._idle = IdleBakes(self._bake_lacking, self.baker.leave)
         # Checks of pictures have separate threads, so that frames do not queue behind them.
         self._checking = Tiles()
@@ -362,19 +363,11 @@ class RenderEngine:
         tiles = self._checking
         for event in filter(None, (cancelled, over)):
             tiles = tiles.cancelled_by(event)
-        return self._find(scene).check(view, goal, tiles, prices)
-
-    def _check_further(
-        self, scene: str, view: View, goal: Goal, cancelled: threading.Event
-    ) -> bool:
-        """Take one step of the check of a picture that a viewer looks at; return False if there was
-        none to take. If paths of its pixels lit the picture, its texels are baked later, while
-        nobody waits for a picture.
-        """
-        more = self.check(scene, view, goal, cancelled)
-        if not more and self._find(scene).renderer.checks.lit_by_paths(view, goal):
-            self._idle.add(LitPicture(scene, view, goal))
-        return more
+        # No light can be baked for a store that is only read: what there is is shown.
+        if self.store.only_read():
+            prices = prices.of_texels
+        with self._idle.awaited():
+            return self._find(scene).check(view, goal, tiles, prices)
 
     def _bake_lacking(self, picture: LitPicture) -> BackgroundBake | None:
         """Request the first light that texels of a ``picture`` lack, of one stage, for IDLE_VIEWER:
@@ -405,6 +398,8 @@ class RenderEngine:
         checking = frozenset({CHECK} if frame.refinable else ())
         if frame.view.moving or not frame.final:
             self._idle.disturb()
+        elif frame.by_paths:
+            self._idle.add(LitPicture(scene, frame.view, goal))
         if checking:
             # A picture with a part of its light is measured only if the rest takes its time.
             waits = frame.unmeasured and not self.store.only_read()

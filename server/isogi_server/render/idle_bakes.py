@@ -1,4 +1,5 @@
-"""Bake the texels of pictures that paths of their pixels lit, once nobody waits for a picture.
+"""Bake the first light of texels of pictures that paths of their pixels lit, once nobody waits for
+a picture.
 
 Such a picture is final without texels. Views that move and other isovalues read texels, so that
 they are baked afterwards, while the processors have nothing else to do.
@@ -8,7 +9,8 @@ import logging
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 from isogi_core.bake.noise import Goal
@@ -29,7 +31,10 @@ RENEWAL_SECONDS = 1.0
 """Time between two looks at a bake that is under way, which renew its request."""
 
 MOST_PICTURES = 8
-"""Pictures whose texels wait to be baked, at most: the newest ones."""
+MOST_DONE = 256
+"""Pictures whose texels wait to be baked, at most: the newest ones; and pictures that are
+remembered to need nothing more.
+"""
 
 
 @dataclass(frozen=True)
@@ -57,15 +62,17 @@ class IdleBakes:
         self._begin = begin
         self._leave = leave
         self._pictures: OrderedDict[LitPicture, None] = OrderedDict()
+        self._done: OrderedDict[LitPicture, None] = OrderedDict()
         self._disturbed = time.monotonic()
+        self._waiting = 0
         self._changed = threading.Condition()
         self._closed = False
         self._thread: threading.Thread | None = None
 
     def add(self, picture: LitPicture) -> None:
-        """Have the texels of a ``picture`` baked when nobody waits for one."""
+        """Have the texels of a ``picture`` baked when nobody waits, unless that was done."""
         with self._changed:
-            if self._closed:
+            if self._closed or picture in self._done:
                 return
             self._pictures[picture] = None
             self._pictures.move_to_end(picture)
@@ -81,6 +88,19 @@ class IdleBakes:
         with self._changed:
             self._disturbed = time.monotonic()
             self._changed.notify()
+
+    @contextmanager
+    def awaited(self) -> Iterator[None]:
+        """Note that somebody waits for a picture until the context ends."""
+        with self._changed:
+            self._waiting += 1
+            self._changed.notify()
+        try:
+            yield
+        finally:
+            with self._changed:
+                self._waiting -= 1
+            self.disturb()
 
     def close(self) -> None:
         """Bake nothing more, and return when the thread has ended."""
@@ -106,9 +126,11 @@ class IdleBakes:
         with self._changed:
             while not self._closed:
                 quiet = time.monotonic() - self._disturbed
-                if self._pictures and quiet >= QUIET_SECONDS:
+                if self._pictures and not self._waiting and quiet >= QUIET_SECONDS:
                     return self._pictures.popitem()[0]
-                self._changed.wait(QUIET_SECONDS - quiet if self._pictures else None)
+                # Sleep until it is quiet, or until somebody adds a picture or stops waiting.
+                soon = bool(self._pictures) and not self._waiting
+                self._changed.wait(QUIET_SECONDS - quiet if soon else None)
             return None
 
     def _bake(self, picture: LitPicture) -> None:
@@ -120,19 +142,29 @@ class IdleBakes:
         while (bake := self._begin(picture)) is not None and bake.coming:
             # Chunks that still lack light after they were baked never get it.
             if former == (bake.bake, bake.chunks):
-                return
+                break
             former = bake.bake, bake.chunks
             while bake.waiting():
                 if self._interrupted(begun):
                     self._leave(IDLE_VIEWER)
-                    self.add(picture)
+                    self._put_back(picture)
                     return
+        with self._changed:
+            self._done[picture] = None
+            if len(self._done) > MOST_DONE:
+                self._done.popitem(last=False)
+
+    def _put_back(self, picture: LitPicture) -> None:
+        """Take up a ``picture`` again after the newer ones."""
+        with self._changed:
+            self._pictures.setdefault(picture)
+            self._pictures.move_to_end(picture, last=False)
 
     def _interrupted(self, begun: float) -> bool:
         """Wait for RENEWAL_SECONDS. Return True, at once, if it was closed, or if somebody has
         waited for a picture since the time ``begun``, in seconds of the steady clock.
         """
         with self._changed:
-            if self._disturbed <= begun and not self._closed:
+            if self._disturbed <= begun and not (self._waiting or self._closed):
                 self._changed.wait(RENEWAL_SECONDS)
-            return self._disturbed > begun or self._closed
+            return bool(self._disturbed > begun or self._waiting or self._closed)

@@ -12,8 +12,7 @@ from isogi_core.frame.rays.own_light import AIM_OF_PATHS, Growth, PixelLight, al
 from isogi_core.frame.rays.picture_plan import AWAITED, SHARED_PRICES, paths_alone
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import View
-from tests.frame.conftest import SKY, Workbench
-from tests.frame.rays.test_carried_light import true_error
+from tests.frame.conftest import SKY, Workbench, true_error
 from tests.loaded import load_scene
 
 TARGET = 0.03
@@ -144,9 +143,15 @@ def test_dropped_light_is_traced_anew(bench: Workbench) -> None:
     frame = bench.renderer.render(view, GOAL)
     check = bench.renderer.checks.held(view, GOAL)
     assert check is not None and len(check.known.carried)
+    while not check.known.covers:
+        bench.renderer.refine(view, GOAL)
     check.growing = None
     check._drop_carried(frame.gbuffer, bench.renderer.tiles)
-    assert check.growing is not None and not len(check.known.carried)
+    assert check.growing is not None and len(check.growing.light.places) < len(frame.gbuffer.pixels)
+    shown = bench.renderer.render(view, GOAL)
+    assert not shown.provisional, "the old light is shown until there is new light"
+    bench.renderer.refine(view, GOAL)
+    assert not len(check.known.carried)
     after = lit(bench, view)
     assert after.final and after.quality.known is not None and after.quality.known.covers
 

@@ -18,8 +18,7 @@ from isogi_core.frame.rays.carried_light import (
 )
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import View, quaternion_from_angles
-from isogi_core.reference import trace_reference
-from tests.frame.conftest import SKY, Workbench, luminance
+from tests.frame.conftest import SKY, Workbench, luminance, true_error
 from tests.loaded import load_scene
 
 TARGET = 0.02
@@ -65,16 +64,6 @@ def carried(frame: Frame) -> int:
     """Number of points that took light over."""
     assert frame.quality.known is not None
     return len(frame.quality.known.carried)
-
-
-def true_error(bench: Workbench, frame: Frame) -> float:
-    """The error of a picture against long paths, less their noise."""
-    reference = trace_reference(bench.renderer, frame.view, 1024)
-    on = frame.state > 0
-    true = luminance(replace(frame, radiance=reference.mean))
-    wrong = np.sqrt(((luminance(frame) - true) ** 2).mean()) / true.mean()
-    assert on.any()
-    return math.sqrt(max(wrong**2 - reference.noise**2, 0.0))
 
 
 @pytest.mark.usefixtures("always")

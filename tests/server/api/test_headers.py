@@ -78,11 +78,17 @@ def test_time_left_is_in_seconds() -> None:
 
 
 @pytest.mark.parametrize(
-    ("needed", "final", "said"),
-    [(0, 0, "hit"), (3, 3, "hit"), (3, 1, "fwd=partial"), (3, 0, "fwd=miss")],
+    ("light", "said"),
+    [
+        ((0, 0, False), "hit"),
+        ((3, 3, False), "hit"),
+        ((3, 1, False), "fwd=partial"),
+        ((3, 0, False), "fwd=miss"),
+        ((0, 0, True), "fwd=bypass"),
+    ],
 )
-def test_cache_status_tells_what_the_store_had(needed: int, final: int, said: str) -> None:
-    assert cache_status(needed, final) == f"isogi-light; {said}"
+def test_cache_status_tells_what_the_store_had(light: tuple[int, int, bool], said: str) -> None:
+    assert cache_status(*light) == f"isogi-light; {said}"
 
 
 @pytest.mark.parametrize(

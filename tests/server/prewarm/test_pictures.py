@@ -232,7 +232,7 @@ def test_a_check_ends_with_the_time() -> None:
         assert over.wait(30.0), "a step that nobody ends"
         raise Cancelled("Time is over.")
 
-    frame = SimpleNamespace(checkable=True)
+    frame = SimpleNamespace(checkable=True, by_paths=False)
     context: Any = SimpleNamespace(
         frame_of=lambda view: frame,
         refine=refine,

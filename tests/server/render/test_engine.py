@@ -526,7 +526,7 @@ def test_workers_are_told_absolute_paths(monkeypatch: pytest.MonkeyPatch, tmp_pa
     assert whereabouts(StoreUrl("s3://bucket/light")) == StoreUrl("s3://bucket/light")
 
 
-def test_texels_of_a_picture_by_paths_are_baked_once_nobody_waits(
+def test_idle_workers_bake_texels_of_pictures_by_paths(
     begin: Begin, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The picture is final before; views that move find their light afterwards."""
