@@ -377,7 +377,8 @@ def awaited(
             except Cancelled:
                 if frame is None:
                     raise
-                return frame
+                # Steps since the last frame have made the picture better: draw it once more.
+                return engine.survey(scene, view, goal)
             # The frame lacks light of texels, or its picture is to be checked.
             coming = frame.checkable or engine.lacking(scene, frame)[1].demands
             show(frame)
