@@ -11,6 +11,7 @@ import pytest
 from PIL import Image
 
 from isogi_core.model.view import VIEW_SHADINGS
+from isogi_worker import queue
 from tests.server.asking import final, numbers, pixels
 from tests.server.sockets import wait_for
 
@@ -36,7 +37,10 @@ def final_frame(client: httpx.Client, **more: str | float) -> httpx.Response:
     """The view's final picture, when no work for this or another view is left that could still
     better its light.
     """
-    assert wait_for(lambda: idle(client), 120)
+    # Light that an earlier test asked for and left is forgotten soon.
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(queue, "FORGET_AFTER", 1.0)
+        assert wait_for(lambda: idle(client), 120)
     return final(client, **{**VIEW, **more})
 
 
