@@ -139,6 +139,7 @@ def test_checks_are_told_beside_the_bake() -> None:
     assert found["bytes"] > 0 and found["first step / bake"] == found["first step / bake, median"]
 
 
+@pytest.mark.long
 def test_tools(small_scene: Path) -> None:
     scene = small_scene.with_name("tools.toml")
     scene.write_text(small_scene.read_text().replace("lattice = 0.5", "rotating = false"))

@@ -41,6 +41,7 @@ def test_twelve_of_the_costliest_requests_fit_into_memory() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_no_generated_request_makes_the_server_fail(tmp_path: Path) -> None:
     assert program(), f"{PROGRAM} is a tool of development: make the environment again"
     with serving("demo:orbital", f"{tmp_path}/light", 1) as served:

@@ -129,6 +129,7 @@ def test_kinds(missing: str, monkeypatch: pytest.MonkeyPatch) -> None:
     assert ("f.nii is left out: nibabel is not installed." in done.stderr) == bool(missing)
 
 
+@pytest.mark.long
 def test_cluster() -> None:
     arguments = [
         "demo:orbital",

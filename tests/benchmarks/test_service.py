@@ -87,6 +87,7 @@ def nearly_compiled(scene: str, size: int, kernels: str) -> dict[str, float]:
     return started(scene, size, kernels)
 
 
+@pytest.mark.long
 def test_first_start(monkeypatch: pytest.MonkeyPatch) -> None:
     compile_all()
     monkeypatch.setitem(first_start.callback.__wrapped__.__globals__, "started", nearly_compiled)

@@ -46,6 +46,7 @@ from dataclasses import replace
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.cache.chunk_record import Chunk, Chunks
+from isogi_core.bake.noise import Goal
 from isogi_core.frame.film import develop
 from isogi_core.frame.entry_kernels import frame_kernels
 from isogi_core.frame.renderer import Renderer
@@ -96,7 +97,7 @@ def compare(settings):
                 part.coefficients[:] = 0.5
             cache.pool.insert(Chunks.of_one(chunk))
         for _ in range(3):
-            renderer.render(replace(view, moving=True), 1.0)
+            renderer.render(replace(view, moving=True), Goal.checked(1.0))
         develop(frame, 1.0)
         fitted(renderer, view, 30.0, 20.0)
     called = {name for name, kernel in entries.items() if kernel.loaded}

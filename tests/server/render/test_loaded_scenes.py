@@ -54,6 +54,7 @@ def test_scenes_under_the_same_light_share_it(scenes: list[Scene]) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_a_scene_makes_way_and_is_the_same_when_it_is_back(
     engine: RenderEngine, scenes: list[Scene]
 ) -> None:

@@ -141,6 +141,7 @@ RECOVERY_SECONDS = 10.0
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_a_minute_of_damaged_answers_is_over_soon(
     small_scene: Path, s3: S3Server, pictures: list[bytes], tmp_path: Path
 ) -> None:

@@ -124,6 +124,7 @@ REFUSALS = {
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_a_small_file_that_claims_much_takes_little(tmp_path: Path) -> None:
     """Of all kinds. A tile that claims to be larger than its page is read as far as it goes."""
     paths = claims.written(tmp_path)

@@ -154,7 +154,7 @@ def share_that_differs(found: dict[str, Any]) -> tuple[float, int]:
     [
         *(pytest.param("plain", shading, marks=pytest.mark.long) for shading in SHADINGS),
         ("coloured", "gi"),
-        ("coloured", "phong"),
+        pytest.param("coloured", "phong", marks=pytest.mark.long),
     ],
     indirect=["server"],
 )
@@ -182,7 +182,10 @@ WRONG = {
 
 
 @pytest.mark.parametrize("server", ["plain"], indirect=True)
-@pytest.mark.parametrize(("shading", "wrong"), [("gi", "light"), ("lambert_fog", "local models")])
+@pytest.mark.parametrize(
+    ("shading", "wrong"),
+    [("gi", "light"), pytest.param("lambert_fog", "local models", marks=pytest.mark.long)],
+)
 def test_the_page_says_that_its_card_draws_wrongly(
     browser: Browser, server: str, shading: str, wrong: str
 ) -> None:

@@ -176,6 +176,7 @@ def test_what_slides_is_drawn_without_a_request(
     assert asked == []
 
 
+@pytest.mark.long
 def test_a_drag_turns_the_object_and_the_exposure_lightens(
     page: Page, first: np.ndarray, tmp_path: Path
 ) -> None:
