@@ -94,12 +94,16 @@ class Slow(Script):
             raise Cancelled("Time is over.")
         return super().frame(scene, view, **more)
 
+    def survey(self, *_: Any) -> SimpleNamespace:
+        """The picture with the light that there is when the time ends."""
+        return SimpleNamespace(version="now")
+
 
 def test_a_step_ends_with_the_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The first picture is drawn; a step that would go on is ended, and that picture kept."""
+    """The first picture is drawn; a step that would go on is ended, and what is there is drawn."""
     monkeypatch.setattr(render, "time", time)
     engine = Slow("a", "final")
-    assert refine(engine, seconds=0.2).version == "a"
+    assert refine(engine, seconds=0.2).version == "now"
     assert [each["wait"] for each in engine.asked] == [0.0]
 
 
