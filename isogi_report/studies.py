@@ -531,9 +531,11 @@ def break_even_row(baked: Curve, traced: Curve) -> tuple[Cell, ...]:
     """Return the row under EQUAL_ERROR_COLUMNS of one way to keep baked light: its bake against
     pictures of the same error by paths from each pixel, the ``traced`` curve.
 
-    Drawing a picture of baked light counts as free.
+    Drawing a picture of baked light counts as free. The last two cells are None if the traced curve
+    never has that error.
     """
-    # End the bake at the first point with nearly the error of the last: more samples hardly help.
+    # End the bake at the first point with at most END_ERROR_FACTOR times the error of the last: if
+    # the curve is flat there, more samples hardly help.
     seconds, error = next(
         (x, y) for x, y in zip(baked.x, baked.y, strict=True) if y <= END_ERROR_FACTOR * baked.y[-1]
     )

@@ -35,7 +35,6 @@ from isogi_core.files.radiance import write_hdr
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.rays.control_pixels import TotalError
 from isogi_core.frame.rays.own_light import PATHS_RATE, PixelLight, all_points
-from isogi_core.frame.rays.picture_check import EARLY_PATHS
 from isogi_core.frame.rays.tail_error import TailError
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import View, quaternion_from_angles
@@ -384,9 +383,9 @@ def go_by_paths(renderer: Renderer, view: View) -> None:
     goal = Goal.checked(renderer.prepared.scene.target_error)
     gbuffer = renderer.gbuffer(view)
     check = renderer.checks.of(renderer.shot(view, gbuffer, goal, renderer.tiles))
-    mean, early = check.scout(gbuffer, renderer.tiles)
-    effort = EARLY_PATHS * early**PATHS_RATE
-    choice = all_points(len(gbuffer.pixels), FORESEEN, goal.error, mean, effort)
+    scouted = check.scout(gbuffer, renderer.tiles)
+    effort = scouted.effort(PATHS_RATE)
+    choice = all_points(len(gbuffer.pixels), FORESEEN, goal.error, scouted.mean, effort)
     check.light_by_paths(choice, PixelLight.none())
     # The first step lights all pixels.
     renderer.refine(view, goal)

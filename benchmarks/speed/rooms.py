@@ -120,7 +120,7 @@ def lit(scene: Scene, store: str, size: int) -> Renderer:
     bake_view(renderer, view, MIN_SAMPLES)
     frame = renderer.render(view, LOOSEST_GOAL)
     while frame.quality.waiting and renderer.refine_frame(
-        frame, Goal(LOOSEST_GOAL.error), renderer.tiles, PRESENT
+        frame, LOOSEST_GOAL, renderer.tiles, PRESENT
     ):
         frame = renderer.render(view, LOOSEST_GOAL)
     return renderer

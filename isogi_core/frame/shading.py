@@ -215,8 +215,9 @@ def albedo_change(light: RotatedLight) -> np.ndarray | None:
 def changed_scatter(
     rows: np.ndarray, pool: PagePool, change: np.ndarray, spec: BakeSpec
 ) -> np.ndarray:
-    """Return the scatter of the ``rows`` of a pool, rescaled to another albedo; (all rows of
-    the pool,) float32, of which all other rows are undefined.
+    """Return the scatter of texels' light, see ``PagePool``, rescaled to another albedo by
+    the weights ``change``: float32, one for each row of the pool, of which only the ``rows`` of the
+    texels that are looked at are defined. Negative ``rows`` hold no light.
     """
     lit = rows[rows >= 0]
     found = np.empty_like(pool.scatter)

@@ -40,3 +40,16 @@ class Shot:
     def scene(self) -> Scene:
         """The scene that is drawn."""
         return self.prepared.scene
+
+    @property
+    def plain(self) -> bool:
+        """True if one surface is shown alone, without walls, that reflects evenly, and if nothing
+        glows: nothing but texels, lobes and paths from pixels lights the picture then.
+        """
+        scene = self.scene
+        return not (
+            self.light.shine is not None
+            or len(self.gbuffer.walls.pixels)
+            or scene.surfaces.several
+            or scene.lighting.glowing.any
+        )

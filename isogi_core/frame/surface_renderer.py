@@ -181,23 +181,22 @@ class SurfaceRenderer:
         known = None
         if is_checked(shot.view) and shot.goal.samples < MAX_SAMPLES:
             known = self.checks.of(shot).known
-        # Once all pixels have light from paths of their own, texels are not looked at.
+        light: Hashable | None
         if known is not None and known.covers:
-            if self._too_large(shot.view):
-                return self._show_paths(known, shot)
-            by_paths = (DrawnPicture, shot.view, shot.goal, known)
-            show = partial(self._show_paths, known, shot)
-            return self._kept.get(by_paths, lambda: DrawnPicture(show())).frame
-        # Find the texels around the surface points.
-        with shot.watch.stage("texels"):
-            texels = self.texels(shot.view, shot.gbuffer, shot.tiles)
-        light = self._light_key(texels, shot)
-        if light is None:
-            return self._carry_texels(texels, known, shot)
+            # All pixels have light from paths of their own: texels are not looked at.
+            make = partial(self._show_paths, known, shot)
+            light = b""
+        else:
+            # Find the texels around the surface points.
+            with shot.watch.stage("texels"):
+                texels = self.texels(shot.view, shot.gbuffer, shot.tiles)
+            make = partial(self._carry_texels, texels, known, shot)
+            light = self._light_key(texels, shot)
+        if light is None or PIXEL_BYTES * shot.view.width * shot.view.height > self._most_of_kind:
+            return make()
         # Requests that wait for light, and the check, ask for the same picture again and again.
         # Each step of the check replaces ``known``, and may bring light of pixels.
         key = (DrawnPicture, shot.view, shot.goal, known, light)
-        make = partial(self._carry_texels, texels, known, shot)
         return self._kept.get(key, lambda: DrawnPicture(make())).frame
 
     def _show_paths(self, known: PictureState, shot: Shot) -> Frame:
@@ -212,24 +211,12 @@ class SurfaceRenderer:
         """Return a key that changes whenever light in the picture of a ``shot`` may have changed,
         besides that which its check knows.
 
-        None if no picture is kept: if the view moves, if its light may change otherwise (walls,
-        glow, shine, several surfaces), or if it exceeds the limit of its kind.
+        None if the picture is not kept: if the view moves, or if its light may change otherwise
+        (walls, glow, shine, several surfaces).
         """
-        view = shot.view
-        scene = shot.scene
-        changing = (
-            shot.light.shine is not None
-            or len(shot.gbuffer.walls.pixels)
-            or scene.surfaces.several
-            or scene.lighting.glowing.any
-        )
-        if changing or view.moving or self._too_large(view):
+        if shot.view.moving or not shot.plain:
             return None
         return self._texels.ages(texels, shot)
-
-    def _too_large(self, view: View) -> bool:
-        """Return True if the picture of a ``view`` exceeds the limit of its kind."""
-        return PIXEL_BYTES * view.width * view.height > self._most_of_kind
 
     def _carry_texels(self, texels: ViewTexels, known: PictureState | None, shot: Shot) -> Frame:
         """Draw a ``shot`` by the light of its ``texels``, with the light of pixels that its check

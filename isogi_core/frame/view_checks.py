@@ -14,14 +14,19 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import surface_key
 from isogi_core.frame.rays.carried_light import MOST_CHANGE, TracedLight, TracedPoints, carried_key
 from isogi_core.frame.rays.control_pixels import CONTROLS_IF_MISSED, FIRST_CONTROLS, paths_for
-from isogi_core.frame.rays.own_light import PATHS_RATE, PixelLight, all_points, foreseen_paths
-from isogi_core.frame.rays.picture_check import EARLY_PATHS, PictureCheck
+from isogi_core.frame.rays.own_light import (
+    PATHS_RATE,
+    PixelLight,
+    all_points,
+    foreseen_paths,
+    paths_alone,
+)
+from isogi_core.frame.rays.picture_check import PictureCheck
 from isogi_core.frame.rays.picture_plan import (
     AWAITED,
     HEAVIER,
     SHARED_PRICES,
     Prices,
-    paths_alone,
     rungs_above,
 )
 from isogi_core.frame.rays.picture_state import PictureState
@@ -101,8 +106,11 @@ class ViewChecks(Refinement[PictureCheck]):
         # Light that was traced for other views comes first, as it costs no paths. A picture that
         # stands for others goes without it: texels are to serve all of them.
         if found.untouched and not frame.provisional and prices != SHARED_PRICES:
+            # The picture is measured with that light, and perhaps once more without it. If it
+            # spares few paths, it costs more than it brings.
             carried = self._carried(shot, uncertainty)
-            if carried is not None:
+            measurement = 2 * FIRST_CONTROLS * paths_for(shot.goal.error)
+            if carried.paths >= WORTH_CARRYING * measurement and len(carried.places):
                 found.carry(carried)
                 return True
         before = found.known.own
@@ -125,46 +133,34 @@ class ViewChecks(Refinement[PictureCheck]):
             check.light_by_texels()
             return
         target = shot.goal.error
-        mean, early = check.scout(frame.gbuffer, shot.tiles)
-        effort = EARLY_PATHS * early**PATHS_RATE
-        of_texel = EARLY_PATHS * early**RATE / PIXELS
+        scouted = check.scout(frame.gbuffer, shot.tiles)
+        effort = scouted.effort(PATHS_RATE)
+        of_texel = scouted.effort(RATE) / PIXELS
         left = foreseen_work(frame, lacking.reading, target, of_texel)
         # Their paths count in full here: the picture waits for all of them.
         first = FIRST_LEVEL * frame.unlit_texels
         texels = HEAVIER * (first + left.texels) + left.pixels
         texels += prices.task * sum(len(stage.demands) for stage in lacking.stages)
         # Light that was traced for other views spares its paths.
-        carried = self._all_carried(shot)
+        carried = self._carried(shot, np.ones(len(frame.gbuffer.pixels)))
         points = len(frame.gbuffer.pixels)
         alone = prices.alone * paths_alone(points - len(carried.places), effort, target)
-        if mean <= 0.0 or alone + controls_of(target) >= texels:
+        if scouted.mean <= 0.0 or alone + controls_of(target) >= texels:
             check.light_by_texels()
             return
         error = math.hypot(noise_after(FIRST_LEVEL, of_texel), frame.quality.expected)
-        check.light_by_paths(all_points(points, error, target, mean, effort), carried)
+        choice = all_points(points, error, target, scouted.mean, effort)
+        check.light_by_paths(choice, carried)
 
-    def _all_carried(self, shot: Shot) -> PixelLight:
-        """Return the light that the points of a ``shot`` take over from earlier views, however
-        little it is. Raises Cancelled.
+    def _carried(self, shot: Shot, uncertainty: np.ndarray) -> PixelLight:
+        """Return the light that the points of a ``shot`` take over from earlier views; light of no
+        points if there is none. For the ``uncertainty`` (m,) see ``TracedLight.carried_to``. Raises
+        Cancelled.
         """
         key = carried_key(shot.light)
         if key is None or (traced := self._kept.held(key)) is None:
             return PixelLight.none()
-        return traced.carried_to(shot, np.ones(len(shot.gbuffer.pixels)))
-
-    def _carried(self, shot: Shot, uncertainty: np.ndarray) -> PixelLight | None:
-        """Return the light that the points of a ``shot`` take over from earlier views; None if it
-        spares fewer paths than WORTH_CARRYING first measurements take. Raises Cancelled.
-        """
-        key = carried_key(shot.light)
-        if key is None or (traced := self._kept.held(key)) is None:
-            return None
-        own = traced.carried_to(shot, uncertainty)
-        # The picture is measured with that light, and perhaps once more without it. If it spares
-        # few paths, it costs more than it brings.
-        measurement = 2 * FIRST_CONTROLS * paths_for(shot.goal.error)
-        if own.paths < WORTH_CARRYING * measurement:
-            return None
+        own: PixelLight = traced.carried_to(shot, uncertainty)
         return own
 
     def _keep_traced(self, check: PictureCheck, shot: Shot) -> None:
@@ -273,14 +269,7 @@ def may_go_without_texels(shot: Shot) -> bool:
     """Return True if paths of its pixels may light the picture of a ``shot`` in place of texels: if
     it shows one surface alone, evenly reflecting.
     """
-    scene = shot.scene
-    return not (
-        shot.light.shine is not None
-        or len(shot.gbuffer.walls.pixels)
-        or scene.surfaces.several
-        or scene.surfaces.material.refracts
-        or scene.lighting.glowing.any
-    )
+    return shot.plain and not shot.scene.surfaces.material.refracts
 
 
 def controls_of(target: float) -> float:

@@ -225,8 +225,8 @@ class Survey:
         """Yield the normalised voxels, plane by plane along z; (ny, nx) float32 each, NaN for
         holes.
         """
-        # There is a tally if the type has few codes: normalise the value of each code once, and
-        # look voxels up.
+        # There is a tally if the type has few codes and the grid many voxels: normalise the value
+        # of each code once, and look voxels up.
         if self.tally is None:
             by_code = None
         else:

@@ -180,8 +180,9 @@ def store_error(action: str, store_url: StoreUrl, error: Exception) -> StoreAway
     """Return our error for a backend's ``error``. ``action`` completes "Cannot … the store", such
     as "write a/b to".
 
-    It is StoreFullError if there is no room, StoreReadOnlyError if permission is lacking and
-    ``action`` begins with one of WRITING_VERBS, else StoreAwayError.
+    It is StoreFullError if there is no room, whatever the action, and StoreReadOnlyError if
+    permission is lacking and ``action`` begins with one of WRITING_VERBS; both are kinds of
+    StoreAwayError, which it is else.
     """
     if isinstance(error, OSError):
         number = error.errno

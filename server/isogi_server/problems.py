@@ -153,9 +153,9 @@ def problem(status: int, detail: str, instance: str, **more: Any) -> JSONRespons
     request.
     """
     number = REQUEST_ID.get()
-    body = problem_document(
-        status, detail, instance, **({"request_id": number} if number else {}), **more
-    )
+    if number:
+        more = {"request_id": number, **more}
+    body = problem_document(status, detail, instance, **more)
     headers = {"X-Content-Type-Options": "nosniff"}
     if status in RETRY_AFTER_SECONDS:
         headers["Retry-After"] = RETRY_AFTER_SECONDS[status]

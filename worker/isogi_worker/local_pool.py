@@ -270,9 +270,12 @@ class LocalPool:
             self._replace()
 
     def _hand_out(self) -> None:
-        """Send waiting jobs to the workers that have the fewest, at most TASKS_AHEAD each."""
+        """Send jobs to the workers: those that are meant for one of them, and waiting ones to the
+        workers with the fewest, until each has TASKS_AHEAD.
+        """
         while self._ahead:
             self._send(*self._ahead.popleft())
+        # A worker that has not answered yet is not ready, and gets no waiting job.
         while self._waiting:
             here = [worker for worker in self._workers if worker.here]
             free = min(here, key=lambda worker: len(worker.sent), default=None)

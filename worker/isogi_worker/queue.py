@@ -182,7 +182,8 @@ class BakeQueue:
     ) -> set[Key]:
         """Add the demands of the newest view of a ``viewer``, for the ``goal`` of its picture.
 
-        Return the chunks that are left out, as their light has come since the view was drawn.
+        Return the keys that are left out: their light came within the last STALE_SECONDS, so that
+        the view is taken to have been drawn before.
         """
         self._forget()
         stale = set[Key]()

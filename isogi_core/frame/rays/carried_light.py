@@ -7,7 +7,7 @@ measure the picture afterwards, so that light which was carried too far shows as
 """
 
 from dataclasses import dataclass
-from itertools import product
+from itertools import accumulate, product
 from typing import Any, Self
 
 import numpy as np
@@ -137,15 +137,12 @@ class TracedLight:
         """Return this light with the points of the ``newest`` view, which replace older ones of the
         same view. At most MOST_VIEWS views and MOST_BYTES are kept, and the newest in any case.
         """
-        kept = [newest]
-        size = newest.nbytes
-        for each in self.views:
-            size += each.nbytes
-            if each.view == newest.view:
-                size -= each.nbytes
-            elif len(kept) < MOST_VIEWS and size <= MOST_BYTES:
-                kept.append(each)
-        return TracedLight(tuple(kept))
+        others = [each for each in self.views if each.view != newest.view]
+        # Keep the newest views whose sizes together are within the limit.
+        sizes = accumulate((each.nbytes for each in others), initial=newest.nbytes)
+        next(sizes)
+        kept = [each for each, size in zip(others, sizes, strict=True) if size <= MOST_BYTES]
+        return TracedLight((newest, *kept[: MOST_VIEWS - 1]))
 
     def carried_to(self, shot: Shot, uncertainty: np.ndarray) -> PixelLight:
         """Return the light that points of a ``shot`` take over, each from the nearest point of all

@@ -373,25 +373,26 @@ class Growth:
         Points that joined first catch up with the others. Then paths grow to the number that is
         wanted, but at most to twice as many, so that a cancelled step loses little, and at least by
         an eighth, so that few steps are needed. If each step is shown, points catch up in several
-        of them, and paths grow faster.
+        of them, and paths grow faster. The last step ends at MOST_PATHS.
         """
         before = self.light.count
+        factor = 2
         if self.shown:
             factor = SHOWN_FACTOR
-        else:
-            factor = 2
-        if self.has_new and self.shown:
-            return FIRST_SHOWN_PATHS
-        if self.has_new:
+            if self.has_new:
+                return FIRST_SHOWN_PATHS
+            fewest = self.light.estimate.fewest
+            if fewest < before:
+                return min(factor * fewest, before)
+        elif self.has_new:
             return max(before, FIRST_PATHS)
-        fewest = self.light.estimate.fewest
-        if fewest < before:
-            return min(factor * fewest, before)
-        wanted = min(factor * before, max(math.ceil(self.wanted), before + max(before // 8, 1)))
-        # The last step is a short one. After it there is none: MOST_PATHS + 1 says so.
-        if before < MOST_PATHS:
-            return min(wanted, MOST_PATHS)
-        return MOST_PATHS + 1
+        least = before + max(before // 8, 1)
+        return min(factor * before, max(math.ceil(self.wanted), least), MOST_PATHS)
+
+    @property
+    def exhausted(self) -> bool:
+        """True if all points have as many paths as they may."""
+        return not self.has_new and self.light.estimate.fewest >= MOST_PATHS
 
     @property
     def left(self) -> float:
@@ -444,10 +445,17 @@ def all_points(points: int, error: float, target: float, mean: float, effort: fl
     ``mean`` is the luminance of the picture, ``error`` the relative error that is expected of its
     texels. A point takes ``effort`` / e^PATHS_RATE paths to a relative error e.
     """
-    aim = AIM_OF_PATHS * target
-    count = max(effort / aim**PATHS_RATE / REPLICAS, 1.0)
-    expected = np.full(points, error * mean)
-    return Choice(np.arange(points), points * (aim * mean) ** 2, count, expected)
+    variance = points * (AIM_OF_PATHS * target * mean) ** 2
+    count = max(paths_alone(1, effort, target) / REPLICAS, 1.0)
+    return Choice(np.arange(points), variance, count, np.full(points, error * mean))
+
+
+def paths_alone(points: int, effort: float, target: float) -> float:
+    """Return the number of paths that bring the noise of ``points`` points of a picture to
+    AIM_OF_PATHS times the ``target``. A point takes ``effort`` / e^PATHS_RATE paths to a relative
+    error e.
+    """
+    return points * effort / (AIM_OF_PATHS * target) ** PATHS_RATE
 
 
 SHARES = 64

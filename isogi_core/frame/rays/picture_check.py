@@ -17,6 +17,7 @@ import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -76,6 +77,21 @@ EARLY_PATHS = 64
 """Paths of each half of a control while light of the picture is still to come: its error is 5 % or
 more.
 """
+
+
+class Scouted(NamedTuple):
+    """What a few controls show of a picture without light: its ``mean`` luminance, and the relative
+    ``error`` of a point after EARLY_PATHS paths.
+    """
+
+    mean: float
+    error: float
+
+    def effort(self, rate: float) -> float:
+        """Return the number of paths, times e^``rate``, that bring a point to a relative error
+        e.
+        """
+        return float(EARLY_PATHS * self.error**rate)
 
 
 @dataclass(eq=False)
@@ -165,7 +181,9 @@ class PictureCheck:
             return self._deepen(frame.gbuffer, tiles)
         # Light that was carried over from other views is a fraction of a pixel aside. If it keeps
         # the picture from its target, the light of these pixels is traced anew.
-        attempts = CARRIED_ATTEMPTS_BY_PATHS if self.known.by_paths else CARRIED_ATTEMPTS
+        attempts = CARRIED_ATTEMPTS
+        if self.known.by_paths:
+            attempts = CARRIED_ATTEMPTS_BY_PATHS
         if len(self.known.carried) and self.known.attempt >= attempts:
             self._drop_carried(frame.gbuffer, tiles)
             return True
@@ -183,9 +201,9 @@ class PictureCheck:
             return not plan.finer and self._climb(frame, rungs_at_once(plan.rungs, climbs, first))
         return self._grow(Growth(plan.choice, self.known.own), frame.gbuffer, tiles)
 
-    def scout(self, gbuffer: GBuffer, tiles: Tiles) -> tuple[float, float]:
-        """Trace a few controls, drawn evenly from a picture that has no light yet. Return its mean
-        luminance, and the relative error of a point after EARLY_PATHS paths. Raises Cancelled.
+    def scout(self, gbuffer: GBuffer, tiles: Tiles) -> "Scouted":
+        """Trace a few controls, drawn evenly from a picture that has no light yet, and return what
+        they show. Raises Cancelled.
         """
         even = np.ones(len(gbuffer.pixels))
         controls = self._draw(gbuffer, even, (0, FIRST_CONTROLS), EARLY_PATHS, tiles)
@@ -193,7 +211,8 @@ class PictureCheck:
             self.known, uncertainty=even, controls=controls, drawn=0, paths=EARLY_PATHS
         )
         mean = float((controls.weights * controls.halves.mean(axis=1)).mean())
-        return mean, math.sqrt(max(controls.noise, 0.0)) / max(mean, np.finfo(np.float64).tiny)
+        deviation = math.sqrt(max(controls.noise, 0.0))
+        return Scouted(mean, deviation / max(mean, np.finfo(np.float64).tiny))
 
     def light_by_texels(self) -> None:
         """Have the picture read texels; forget paths that light it alone."""
@@ -441,9 +460,9 @@ class PictureCheck:
         Once their noise is small enough, the picture shows their light, and is measured again as
         the next attempt.
         """
-        count = growth.next
-        if count > MOST_PATHS:
+        if growth.exhausted:
             return False
+        count = growth.next
         # Count the paths of this step apart, so that other threads see its progress.
         self.growing = replace(growth, traced=0)
         begun = time.perf_counter()

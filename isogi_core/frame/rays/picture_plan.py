@@ -15,7 +15,7 @@ from isogi_core.bake.texel_light import FIRST_LEVEL, next_level
 from isogi_core.cache.costs import TASK_OVERHEAD_SECONDS
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.rays.control_pixels import MAX_CONTROLS, TotalError
-from isogi_core.frame.rays.own_light import AIM_OF_PATHS, PATHS_RATE, Choice, choose_points
+from isogi_core.frame.rays.own_light import Choice, choose_points
 from isogi_core.model.scene_plan import most_samples
 from isogi_core.plan.variants import FINER_FACTOR
 
@@ -166,14 +166,6 @@ def noise_of_climbers(frame: Frame) -> float:
     reading = lacking.reading
     variance = np.where(reading.samples > 0, reading.error.astype(np.float64) ** 2, 0.0)
     return float(variance[reading.noisy].sum() / max(variance.sum(), 1e-300))
-
-
-def paths_alone(points: int, effort: float, target: float) -> float:
-    """Return the number of paths that bring the noise of ``points`` points of a picture to
-    AIM_OF_PATHS times the ``target``, if it reads no texels. A point takes
-    ``effort`` / e^PATHS_RATE paths to a relative error e.
-    """
-    return points * effort / (AIM_OF_PATHS * target) ** PATHS_RATE
 
 
 def climbs_of(frame: Frame, rung: int, target: float) -> list[float]:

@@ -259,7 +259,8 @@ def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
 
     Raises OSError.
     """
-    # Write the page last: all files that it names are there as soon as it can be read.
+    # Write the page last: all files that it names are there as soon as it can be read. A former
+    # page that is still loading may read new files of the same names.
     for name in sorted(files, key=lambda each: each == PAGE):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         write_whole(folder / name, files[name])

@@ -237,8 +237,10 @@ def with_efforts(context: PrewarmContext, found: Survey) -> Survey:
 
 
 def survey_surfaces(context: PrewarmContext, levels: Levels, rung: int, span: Span) -> Survey:
-    """Return the light that the store lacks for all texels of whole isosurfaces to have ``rung``
-    samples, or to be good enough by themselves.
+    """Return the light that the store lacks for all texels of whole isosurfaces, not those of sides
+    and not finer ones, to have ``rung`` samples, or to be good enough by themselves.
+
+    ``span`` is the part of the bar of progress that this takes. Raises StoreError and Cancelled.
     """
     goal = context.goal_at(rung)
     prepared = context.renderer.prepared
@@ -246,7 +248,7 @@ def survey_surfaces(context: PrewarmContext, levels: Levels, rung: int, span: Sp
     volume = prepared.scene.volume
     total = prepared.chunks[0]
     places = [volume.normalise_span(*each) for each in levels.spans]
-    # Texels on their own isosurfaces.
+    # Texels where they lie, each on the isosurface through itself.
     for index, offsets in surface_texels(
         volume.voxels, prepared.shape, prepared.lattice.chunk, places
     ):

@@ -39,9 +39,9 @@ from isogi_server.render.bakes import (
     share_by_store,
 )
 from isogi_server.render.engine_workers import EngineWorkers, scheduler_of
-from isogi_server.render.idle_bakes import IDLE_VIEWER, IdleBakes, LitPicture
+from isogi_server.render.idle_bakes import IDLE_VIEWER, IdleBakes
 from isogi_server.render.loaded_scene import LoadedScene, LoadedScenes, load_scene_parts, shared
-from isogi_server.render.picture_checks import CHECK, LIGHT_PATIENCE_SECONDS, PictureChecks
+from isogi_server.render.picture_checks import CHECK, LIGHT_PATIENCE_SECONDS, Picture, PictureChecks
 from isogi_server.render.scene_kernels import SceneKernels
 from isogi_server.render.scene_variant import SceneVariant
 from isogi_server.render.stores import root_of, whereabouts
@@ -69,8 +69,8 @@ class Unfinished:
     - ``seconds``: time that drawing it took, by stage.
     - ``bake``, ``chunks``: light that it needs next.
     - ``later``: stages after that.
-    - ``read``: chunks that its texels read, none of them if paths alone light it; None if it takes
-      no paths of pixels.
+    - ``read``: chunks that its texels read; () if paths alone light it, None if it reads no texels
+      for another reason.
     - ``fineness``: steps by which its texels are finer.
     - ``foreseen``: paths that its pixels are expected to take, until it is measured.
     """
@@ -354,7 +354,7 @@ class RenderEngine:
         over: threading.Event | None = None,
     ) -> bool:
         """Take one step of the check of a picture: measure its total error, or bring it nearer to
-        the ``target``. Return False if no step was left.
+        the ``goal``. Return False if no step was left.
 
         ``prices`` weigh the costs of possible steps. Raises as ``frame`` does, and Cancelled if
         ``cancelled`` is set, as nobody wants the picture any more, or ``over``, as the caller has
@@ -369,7 +369,7 @@ class RenderEngine:
         with self._idle.awaited():
             return self._find(scene).check(view, goal, tiles, prices)
 
-    def _bake_lacking(self, picture: LitPicture) -> BackgroundBake | None:
+    def _bake_lacking(self, picture: Picture) -> BackgroundBake | None:
         """Request the first light that texels of a ``picture`` lack, of one stage, for IDLE_VIEWER:
         first of those that the view reads while it moves, then of all. Return None if they lack
         none, or if the store is only read. Raises NoRoomError, and as ``frame`` does.
@@ -399,7 +399,7 @@ class RenderEngine:
         if frame.view.moving or not frame.final:
             self._idle.disturb()
         elif frame.by_paths:
-            self._idle.add(LitPicture(scene, frame.view, goal))
+            self._idle.add(Picture(scene, frame.view, goal))
         if checking:
             # A picture with a part of its light is measured only if the rest takes its time.
             waits = frame.unmeasured and not self.store.only_read()
@@ -443,8 +443,11 @@ class RenderEngine:
         return self._side_bakes.name(scene, stage.shown, fineness, make)
 
     def unfinished(self, scene: str, frame: Frame, goal: Goal | None = None) -> Unfinished:
-        """Return everything that a ``frame`` lacks to reach a ``goal``, by default the error of its
-        scene.
+        """Return everything that a ``frame`` lacks until it is final.
+
+        ``goal`` must be the one that it was drawn for, by default the error of its scene. If a
+        finer frame is to replace it, ``bake``, ``chunks`` and ``later`` are that one's, all others
+        those of the frame that is shown. The bake is added if it is new.
         """
         goal = goal or self._usual_goal(scene)
         picture = (scene, frame.view, goal)

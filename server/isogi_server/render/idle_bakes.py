@@ -11,12 +11,10 @@ import time
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 
-from isogi_core.bake.noise import Goal
 from isogi_core.errors import IsogiError
-from isogi_core.model.view import View
 from isogi_server.render.bakes import BackgroundBake
+from isogi_server.render.picture_checks import Picture
 from isogi_worker.bake_requests import Viewer
 
 log = logging.getLogger("isogi.render")
@@ -37,21 +35,12 @@ remembered to need nothing more.
 """
 
 
-@dataclass(frozen=True)
-class LitPicture:
-    """A view of a scene, whose picture with this ``goal`` was lit by paths of its pixels."""
-
-    scene: str
-    view: View
-    goal: Goal
-
-
 class IdleBakes:
     """Has texels of pictures baked while nobody waits for one. Safe to use from many threads."""
 
     def __init__(
         self,
-        begin: Callable[[LitPicture], BackgroundBake | None],
+        begin: Callable[[Picture], BackgroundBake | None],
         leave: Callable[[Viewer], object],
     ) -> None:
         """Set the functions that begin a bake and end it.
@@ -61,15 +50,15 @@ class IdleBakes:
         """
         self._begin = begin
         self._leave = leave
-        self._pictures: OrderedDict[LitPicture, None] = OrderedDict()
-        self._done: OrderedDict[LitPicture, None] = OrderedDict()
+        self._pictures: OrderedDict[Picture, None] = OrderedDict()
+        self._done: OrderedDict[Picture, None] = OrderedDict()
         self._disturbed = time.monotonic()
         self._waiting = 0
         self._changed = threading.Condition()
         self._closed = False
         self._thread: threading.Thread | None = None
 
-    def add(self, picture: LitPicture) -> None:
+    def add(self, picture: Picture) -> None:
         """Have the texels of a ``picture`` baked when nobody waits, unless that was done."""
         with self._changed:
             if self._closed or picture in self._done:
@@ -121,7 +110,7 @@ class IdleBakes:
             except Exception:
                 log.exception("The texels of a picture could not be baked while nobody waited.")
 
-    def _next(self) -> LitPicture | None:
+    def _next(self) -> Picture | None:
         """Return the newest picture once nobody has waited for a while; None if closed."""
         with self._changed:
             while not self._closed:
@@ -133,7 +122,7 @@ class IdleBakes:
                 self._changed.wait(QUIET_SECONDS - quiet if soon else None)
             return None
 
-    def _bake(self, picture: LitPicture) -> None:
+    def _bake(self, picture: Picture) -> None:
         """Bake the texels of a ``picture``, stage after stage, until they are done or somebody
         waits for a picture; it is taken up again later then.
         """
@@ -154,7 +143,7 @@ class IdleBakes:
             if len(self._done) > MOST_DONE:
                 self._done.popitem(last=False)
 
-    def _put_back(self, picture: LitPicture) -> None:
+    def _put_back(self, picture: Picture) -> None:
         """Take up a ``picture`` again after the newer ones."""
         with self._changed:
             self._pictures.setdefault(picture)

@@ -8,8 +8,14 @@ import pytest
 from isogi_core.bake.noise import Goal
 from isogi_core.frame import frame as frames
 from isogi_core.frame.frame import Frame
-from isogi_core.frame.rays.own_light import AIM_OF_PATHS, Growth, PixelLight, all_points
-from isogi_core.frame.rays.picture_plan import AWAITED, SHARED_PRICES, paths_alone
+from isogi_core.frame.rays.own_light import (
+    AIM_OF_PATHS,
+    Growth,
+    PixelLight,
+    all_points,
+    paths_alone,
+)
+from isogi_core.frame.rays.picture_plan import AWAITED, SHARED_PRICES
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import View
 from tests.frame.conftest import SKY, Workbench, true_error

@@ -9,16 +9,17 @@ from isogi_core.bake.noise import Goal
 from isogi_core.errors import StoreError
 from isogi_core.model.view import Camera, View
 from isogi_server.render import idle_bakes
-from isogi_server.render.idle_bakes import IDLE_VIEWER, MOST_PICTURES, IdleBakes, LitPicture
+from isogi_server.render.idle_bakes import IDLE_VIEWER, MOST_PICTURES, IdleBakes
+from isogi_server.render.picture_checks import Picture
 from isogi_worker.bake_requests import Viewer
 from tests.server.sockets import wait_for
 
 CAMERA = Camera((0.0, 0.0, 3.0), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0), 30.0)
 
 
-def picture(isovalue: float) -> LitPicture:
+def picture(isovalue: float) -> Picture:
     """A picture, told apart by its isovalue."""
-    return LitPicture("scene", View(isovalue, CAMERA, width=4, height=4), Goal.checked(0.02))
+    return Picture("scene", View(isovalue, CAMERA, width=4, height=4), Goal.checked(0.02))
 
 
 class Bake:
@@ -41,14 +42,14 @@ class Bakery:
     """
 
     def __init__(self) -> None:
-        self.begun: list[LitPicture] = []
+        self.begun: list[Picture] = []
         self.bakes: list[Bake] = []
         self.left: list[Viewer] = []
         self.stages = 1
         self.stuck = False
         self.idle = IdleBakes(self.begin, self.left.append)  # type: ignore[arg-type]
 
-    def begin(self, lit: LitPicture) -> Bake | None:
+    def begin(self, lit: Picture) -> Bake | None:
         """Begin a stage of a picture, if it has one more."""
         if lit.view.isovalue < 0.0:
             raise StoreError("The store is away.")

@@ -290,7 +290,8 @@ async def complete(service: Service, picture: PictureRequest, job: Job) -> Frame
     """Return the frame of a picture once it is final or lacks no more light; a path-traced one is
     as good as its samples.
 
-    The ``job`` reports progress. The bake yields to people, and is dropped if this is cancelled.
+    The ``job`` reports progress. The bake yields to people; what is left of it when this ends, as
+    by cancelling, is dropped.
     While the store cannot be reached, it waits. Raises WorkersError if some light cannot be baked,
     and StoreError.
     """
