@@ -2,7 +2,7 @@
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Collection, Hashable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, Generic, Protocol, TypeVar
@@ -50,15 +50,19 @@ class LruCache(Generic[K]):
     in ``settle``.
     """
 
-    def __init__(self, most: int, limits: Mapping[Any, int] = NONE) -> None:
+    def __init__(
+        self, most: int, limits: Mapping[Any, int] = NONE, lasting: Collection[Any] = ()
+    ) -> None:
         """Keep at most ``most`` bytes, with OVERHEAD_BYTES for each result, but always the newest
         result.
 
         ``limits`` are the most bytes of results of some kinds; the kind of a key that is a tuple is
-        its first entry.
+        its first entry. Of each kind that is ``lasting``, other results never drive out the newest:
+        work that grows in steps would begin again at each of them.
         """
         self._most = most
         self._limits = limits
+        self._lasting = lasting
         self._lock = threading.Lock()
         self._made: OrderedDict[K, Cell[Any]] = OrderedDict()
         self._total = 0
@@ -179,9 +183,16 @@ class LruCache(Generic[K]):
                 if self._kinds[newest] <= self._limits[newest]:
                     break
                 self._pop(key)
-        # Then the limit of all results.
-        while self._total > self._most and len(self._made) > 1:
-            self._pop(next(iter(self._made)))
+        # Then the limit of all results: the newest one stays, and the newest of each kind that
+        # lasts.
+        if self._total <= self._most:
+            return
+        staying = {kind: key for key in self._made if (kind := result_kind(key)) in self._lasting}
+        for key in list(self._made)[:-1]:
+            if self._total <= self._most:
+                break
+            if staying.get(result_kind(key)) != key:
+                self._pop(key)
 
 
 def result_kind(key: Hashable) -> Hashable:

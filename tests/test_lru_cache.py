@@ -66,6 +66,15 @@ def test_the_newest_result_is_kept_at_any_size() -> None:
     assert kept.nbytes == 0 and made(kept, "b") == ["b"]
 
 
+def test_the_newest_of_a_kind_that_lasts_stays() -> None:
+    kept: LruCache[tuple[str, int]] = LruCache(2 * SIZE, lasting=("step",))
+    made(kept, ("step", 1), ("step", 2), ("view", 1), ("view", 2), ("view", 3))
+    assert made(kept, ("step", 2), ("view", 3)) == []
+    assert made(kept, ("step", 1)) == [("step", 1)], "an older one makes room"
+    kept.clear()
+    assert kept.nbytes == 0
+
+
 def test_two_threads_make_a_result_once() -> None:
     kept: LruCache[str] = LruCache(1000)
     begun = threading.Event()

@@ -16,11 +16,12 @@ from isogi_core.frame.framing import frame_of
 from isogi_core.frame.gbuffer import GBuffer, surface_key
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.lobe_light import LobeLight, ShadowStarts, find_lobes, find_starts
+from isogi_core.frame.rays.picture_check import PictureCheck
 from isogi_core.frame.rays.picture_plan import Prices
 from isogi_core.frame.rays.picture_state import PictureState
 from isogi_core.frame.rays.shine_light import ShineLight, ViewShine
-from isogi_core.frame.rays.through_matter import ViewThrough
-from isogi_core.frame.rays.wall_light import ViewWalls
+from isogi_core.frame.rays.through_matter import SurfaceSeen, ViewThrough
+from isogi_core.frame.rays.wall_light import RoomLight, ViewWalls
 from isogi_core.frame.refinement import Refinement
 from isogi_core.frame.several.mixed_reading import Level
 from isogi_core.frame.shading import colour_surface, empty_framebuffer, shade
@@ -92,12 +93,15 @@ class SurfaceRenderer:
         self.caches = caches
         self.tiles = tiles
         # Results that a turning light or a growing bake replaces have a limit of their own: they
-        # must not drive out surfaces.
+        # must not drive out surfaces. Light that grows step by step must not be lost between two of
+        # them, however little memory there is.
         self._most_of_kind = int(KIND_SHARE * most)
         changing = dict.fromkeys(
             (Reading, FilteredLight, LobeLight, ShineLight, DrawnPicture), self._most_of_kind
         )
-        self._kept: LruCache[Any] = LruCache(most - int((COMMON + BLOCKS_SHARE) * most), changing)
+        growing = PictureCheck, RoomLight, ShineLight, SurfaceSeen
+        most_of_views = most - int((COMMON + BLOCKS_SHARE) * most)
+        self._kept: LruCache[Any] = LruCache(most_of_views, changing, lasting=growing)
         shown = levels or (Level(caches),)
         self._texels = TexelShading(
             self.prepared, shown, self._kept, int(COMMON * most), filters, stand_in

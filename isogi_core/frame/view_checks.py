@@ -312,4 +312,4 @@ def is_checked(view: View) -> bool:
 
 def check_key(view: View, target: float) -> tuple[Any, ...]:
     """Return the cache key of the check of a picture: all that it depends on."""
-    return "PictureCheck", surface_key(view), view.light, view.albedo, view.shine, view.glow, target
+    return PictureCheck, surface_key(view), view.light, view.albedo, view.shine, view.glow, target
