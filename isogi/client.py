@@ -642,11 +642,14 @@ class Isogi:
     ) -> None:
         token = token or os.environ.get("ISOGI_TOKEN")
         self._server: subprocess.Popen[bytes] | None = None
-        self._kept: object = None  # what a server that was started reads, for as long as it lives
+        # ``Scene.serve`` keeps its scene here, as the server reads files that go with the scene.
+        self._kept: object = None
         self._patience = patience
         self._wait = min(LONGEST_WAIT, timeout / 2)
-        # Repeat requests that the server is too busy for; once it has answered, also those that get
-        # no connection (see ``_note_answer``).
+        # Repeat requests that the server is too busy for, at the times that it names or at growing
+        # intervals. Once it has answered, repeat also those that get no connection (see
+        # ``_note_answer``). The limit is the sum of the pauses, not their number: 1000 of them take
+        # more than an hour. Retry refuses a limit of 0 seconds.
         self._retry = Retry(
             total=1000,
             allowed_methods=("GET", "POST", "DELETE"),
@@ -852,8 +855,9 @@ class Isogi:
         """Yield the events of a view while it becomes final. Its light is baked as long as a client
         listens.
 
-        The last event is ``final`` or ``failed``. If the connection breaks, the events continue
-        over a new one.
+        The last event is ``final`` or ``failed``. If the connection breaks, another one is opened.
+        Its first event tells the state that the view has then, unless an event has told it before;
+        states in between are left out.
 
         >>> for event in isogi.watch("casting", azimuth=40):
         ...     print(event.kind, event.facts)
@@ -1028,7 +1032,7 @@ class Isogi:
 
     def _connection(self, path: str, asked: Mapping[str, str], last: str) -> Iterator[Event]:
         """Yield the events of one connection until it ends or breaks,
-        only those after the event ``last`` if that is given.
+        without those on the frame with the id ``last``, if that is given.
         """
         headers = {"Accept": "text/event-stream"}
         if last:
@@ -1045,7 +1049,7 @@ class Isogi:
                     if event.data:
                         yield Event(event.event, read_json(event.data), event.id)
             except (*CONNECTION_ERRORS, httpx.ReadTimeout):
-                # The caller opens another connection, and goes on after the last event.
+                # The caller opens another connection, and names the frame of the last event.
                 return
 
     def _frame(self, path: str, asked: Mapping[str, str]) -> Frame:
@@ -1100,9 +1104,11 @@ NRRD_TYPES = {
 
 
 def nrrd_of(array: np.ndarray, spacing: Sequence[float]) -> bytes:
-    """Return an array (z, y, x) as an NRRD file.
+    """Return an array (z, y, x) as the bytes of an NRRD file, with voxels ``spacing`` apart along
+    x, y and z.
 
-    Raises ValueError if it is not a volume, or if the ``spacing`` is wrong.
+    Raises ValueError if it is not a volume of real numbers or booleans, or if ``spacing`` is not
+    three distances above 0.
     """
     if array.ndim != 3 or array.dtype.kind not in "biuf":
         raise ValueError(

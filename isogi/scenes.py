@@ -147,7 +147,9 @@ def light_keys(light: Any) -> dict[str, Any]:
 
 
 def plain(value: Any) -> Any:
-    """Return a value as TOML would give it: lists for sequences and arrays, texts for paths."""
+    """Return a value of Python as TOML would give it: dicts for mappings, lists for sequences and
+    arrays, and texts for Paths, made absolute from the working directory.
+    """
     if isinstance(value, Mapping):
         return {str(key): plain(each) for key, each in value.items()}
     if isinstance(value, Path):

@@ -110,7 +110,8 @@ def report_of(
     else:
         deadline = begun + request.deadline
     bench = Bench(scene, view, workshop(request.folder), deadline=deadline, exposure=exposure)
-    # Find the surface first: an empty view must not touch the folder.
+    # Find the surface before the journal is opened: an empty view, for which this raises ViewError,
+    # must not touch the folder.
     on = bench.surface
     with open_journal(request.folder, subject_of(scene, view, exposure)) as journal:
         measured = measure(STUDIES, wanted, bench, journal)
@@ -137,7 +138,8 @@ def chosen_studies(studies: Sequence[Study], only: Sequence[str]) -> tuple[Study
 def notes(measured: Measured, deadline: float | None) -> Iterator[str]:
     """Yield sentences on studies that are missing or incomplete, with the reason."""
     late = titles(measured.late)
-    # Studies without time are missing because a person stopped, or because of the deadline.
+    # Studies are late because a person stopped the work, or because of the deadline, which is not
+    # None then.
     if measured.stopped:
         yield (
             f"Stopped by hand before the end. Missing: {late}. The same command goes on from here."

@@ -151,15 +151,21 @@ def bake_place(
 
 
 def light_of_halves(turned: RotatedLight, place: Place, samples: int) -> np.ndarray:
-    """Return the linear RGB (m, 2, 3) of each half of ``samples`` paths, under rotated lights."""
+    """Return the linear RGB, (m, 2, 3), that points would show if each were a texel, under rotated
+    lights: two independent estimates (axis 1), each by half of ``samples`` paths.
+
+    Light that lobes send directly, and colours of the surface by data, are not in it.
+    """
     spec = turned.spec
+    # All points lie on the surface, so none is void.
     void = np.zeros(len(place[3]), np.bool_)
     halves = light_of_glow(turned, place, samples)
     layers = tuple(layer for layer in spec.plan.layers if layer.kind != GLOW_KIND)
     for layer, (sums, _) in zip(
         layers, sample_transfer(layers, place, void, spec, 0, samples), strict=True
     ):
-        # Radiance is the dot product of transfer and light, over the orders that both have.
+        # Radiance is the dot product of transfer and light, over the orders that both have. Sums
+        # over the paths of a half become means.
         light = turned.albedo[:, None] * turned.light_of(layer)
         n = min(layer.order**2, light.shape[1])
         colours = turned.colours_of(layer, sums)
@@ -168,8 +174,8 @@ def light_of_halves(turned: RotatedLight, place: Place, samples: int) -> np.ndar
 
 
 def light_of_glow(turned: RotatedLight, place: Place, samples: int) -> np.ndarray:
-    """Return the linear RGB (m, 2, 3) of each half of ``samples`` paths
-    that glowing parts send; 0 if nothing glows.
+    """Return the linear RGB, (m, 2, 3), that points would show by the light of glowing parts: two
+    independent estimates, each by half of ``samples`` paths. It is 0 if nothing glows.
     """
     spec = turned.spec
     void = np.zeros(len(place[3]), np.bool_)

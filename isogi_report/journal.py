@@ -124,7 +124,8 @@ class Journal:
         """Write a section to the journal."""
         pixels = io.BytesIO()
         np.savez_compressed(pixels, *(picture.pixels for picture in entry.section.pictures))
-        # Write the pixels first: a section counts as found once its JSON file is there.
+        # Write the pixels first: ``find`` needs the JSON file, and refuses one of other code. If
+        # the process ends in between, it finds no section, and not one without its pixels.
         write_whole(self.folder / f"{key}.npz", pixels.getvalue())
         document = {
             "code": self.code,
@@ -159,7 +160,9 @@ def open_journal(folder: Path, subject: Mapping[str, Any]) -> Iterator[Journal]:
 
 
 def workshop(folder: Path) -> Path:
-    """Return the folder of the references of a report in ``folder``, those made by this code."""
+    """Return the path of the folder for references that this code makes of a report in ``folder``;
+    create nothing.
+    """
     return folder / WORK_FOLDER / code_digest()
 
 

@@ -200,7 +200,7 @@ def run(study: Study, bench: Bench) -> Entry | str | None:
     try:
         return Entry(study.run(bench), time.process_time() - begun)
     except Cancelled:
-        # Work may be cancelled from within: begin no other study then.
+        # Begin no other study, even if the study itself raised Cancelled.
         bench.cancelled.set()
         return None
     except Exception as error:

@@ -475,8 +475,8 @@ def points_of_bake(bench: Bench, scene: Scene, best: Reference) -> list[Point]:
 
 
 def points_of_paths(bench: Bench, best: Reference) -> list[Point]:
-    """Return the points of paths from each pixel,
-    each picture traced from the start, with as many bounces as may matter.
+    """Return the points of paths from each pixel, with as many bounces as the reference ``best``
+    has. Each picture is traced from the start.
     """
     renderer = bench.renderer(bench.whole)
     view = replace(bench.view, shading="path_traced")

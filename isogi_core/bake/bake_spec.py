@@ -56,8 +56,8 @@ class BakeSpec:
 
     - ``shown``: isosurface that texels are projected onto, see ``locate``; None if they are not
       projected.
-    - ``seen``: albedo of the surface in frames; by default the one that errors of texels are
-      relative to, which is the scene's, or the highest that views may ask for.
+    - ``seen``: albedo of the surface in frames; by default the one at which noise of texels is
+      judged, which is the scene's, or the highest that views may ask for.
     """
 
     prepared: PreparedScene
@@ -281,12 +281,13 @@ class BakeSpec:
         return mixing_of(self.albedo, self.plan)
 
     def term_of(self, layer: Layer) -> Term:
-        """Return the term that a ``layer`` belongs to; of several, the last: for nodes that is the
-        highest albedo, which errors are relative to.
+        """Return the last of the terms that have a layer of the kind of ``layer``; the first of all
+        terms if none has.
 
-        A layer that is not in the plan belongs to the terms of its kind, or to the first one.
+        ``layer`` need not be in the plan: with other bands or precision it has the same term. A
+        layer with nodes has a term for each, by ascending albedo: the last is that of the highest
+        albedo, at which noise is judged.
         """
-        # Find the terms whose layers are of this kind.
         kinds = [{self.plan.layers[i].kind for i in term.layers} for term in self.terms]
         found = [term for term, kept in zip(self.terms, kinds, strict=True) if layer.kind in kept]
         return found[-1] if found else self.terms[0]
@@ -363,8 +364,8 @@ class BakeSpec:
         """Return the shares of a layer's channels in the luminance that leaves a texel under white
         light; (channels,) float64.
 
-        For nodes the highest alone counts, as errors are relative to it. For glows the mean counts,
-        while ``gains`` take each to be as bright as the brightest.
+        For nodes the highest albedo alone counts, as noise is judged at it. For glows the mean
+        counts, while ``gains`` takes each to be as bright as the brightest.
         """
         if layer.nodes:
             return np.eye(layer.channels)[-1]

@@ -132,11 +132,12 @@ def mean_luminance(light: Light, spec: BakeSpec) -> np.ndarray:
 
 
 def white(layer: Layer, spec: BakeSpec) -> np.ndarray:
-    """Return the weights of band 0 of a ``layer`` in the mean luminance over all turns of the
-    light; (channels,) float64.
+    """Return the weight of band 0 of each channel of a ``layer`` in a texel's luminance, a mean
+    over all turns of the light, in which higher bands vanish; (channels,) float64.
 
-    If views may ask for other albedos, reflected light counts as at the lowest albedo and noise as
-    at the highest, so that the error holds at each of them.
+    If views may ask for other albedos, reflected light is weighted as at the lowest of them, while
+    ``BakeSpec.mix`` and ``gains`` weight noise as at the highest: noise over luminance is then an
+    upper bound of the relative error at each of them.
     """
     if isinstance(layer, GlowLayer):
         return spec.glow_weights(layer)

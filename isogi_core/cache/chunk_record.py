@@ -190,8 +190,8 @@ CODEC_NAMES = ["bytes", "zstd", "crc32c"]
 class LayerFacts:
     """A layer as its ``zarr.json`` describes it.
 
-    ``texels`` is the size of its lattice along z, y, x, ``chunk`` the side of a chunk in texels,
-    and ``attributes`` isogi's entry in the metadata.
+    ``texels`` counts the texels of its lattice along z, y, x, ``chunk`` those along a chunk's side;
+    ``attributes`` is isogi's entry in the metadata.
     """
 
     layer: Layer
@@ -246,6 +246,7 @@ def facts_in(metadata: bytes) -> LayerFacts:
         found = json.loads(metadata)
         attributes = found["attributes"]["isogi"]
         z, y, x = map(int, attributes["texels"])
+        # Metadata from before there were nodes has no entry for them.
         named = {each.name: attributes[each.name] for each in fields(Layer) if each.name != "nodes"}
         layer = Layer(**named, nodes=tuple(map(float, attributes.get("nodes", ()))))
         facts = LayerFacts(layer, (z, y, x), int(attributes["chunk"]), attributes)

@@ -136,9 +136,11 @@ class FreshLight:
         """Forget chunks whose light is written and whose last light came KEPT_SECONDS ago, unless
         a task of theirs is in flight, which makes them ``busy``.
 
-        Such a task brings light of some texels only, which ``put`` adds to the others here.
+        A task may bring light of some texels only. If the others were forgotten meanwhile, ``put``
+        would take these few for the whole chunk, and hide the others in the store.
         """
         now = self._clock()
+        # Keep the lock, so that no light comes between the test and the deletion.
         with self._lock:
             for index, each in list(self._chunks.items()):
                 if now - each.last >= KEPT_SECONDS and not any(each.changed) and not busy(index):

@@ -173,19 +173,20 @@ class PagePool:
                 self._entries[index].stale = True
 
     def insert(self, chunks: Chunks, keep: Collection[Index] = ()) -> None:
-        """Put decoded chunks into the pool, and replace their older light. The chunks in ``keep``
-        are not dropped for them.
+        """Put decoded chunks into the pool, and replace their older light.
 
-        Raises NoRoomError, and drops none, if the budget cannot hold them.
+        If room is needed, drop the longest unused chunks that no frame holds; those in ``keep``
+        stay, unless ``chunks`` has newer light of them. Raises NoRoomError, and drops none, if that
+        is not enough.
         """
         counts = np.diff(chunks.bounds)
         with self._lock:
             self._age = next(AGES)
             # New light goes to other pages than the old: frames that hold the chunk read on from
-            # the old ones. Each chunk takes whole pages, so round up. Chunks that are replaced may
-            # be dropped for the new light, even if they are in ``keep``.
+            # the old ones. Each chunk takes whole pages, so round up. Older light of these very
+            # chunks need not be kept: it is replaced below, and may make room before.
             entries = self._allocate(-(-counts // PAGE_TEXELS), {*keep} - {*chunks.indices})
-            rows = rows_in([entry.pages for entry in entries], counts)
+            numbers = rows_in([entry.pages for entry in entries], counts)
             slots = np.array([entry.slot for entry in entries], np.int32)
             # Forget the versions of the chunks that had these slots before.
             for slot in slots.tolist():
@@ -193,10 +194,10 @@ class PagePool:
             # Texels that the chunk lacks are not baked; the others find their rows.
             self.table[slots] = UNLIT_ROW
             self.table[np.repeat(slots, counts), chunks.offsets] = fill_rows(
-                self.rows, rows, chunks.light, self.spec
+                self.rows, numbers, chunks.light, self.spec
             )
             if self.spec.plan.nodes:
-                self.reflected[rows] = reflected_share(chunks.light, self.spec)
+                self.reflected[numbers] = reflected_share(chunks.light, self.spec)
             # From here on, frames that ask for the chunk get the new entry. The old one is freed
             # when no frame holds it.
             for index, entry in zip(chunks.indices, entries, strict=True):
@@ -224,7 +225,8 @@ class PagePool:
                 np.array([-1 if entry is None else entry.slot for entry in found], np.int32), age
             )
         finally:
-            # An entry that was replaced meanwhile is freed by its last holder.
+            # ``_give_back`` frees entries that were replaced meanwhile and are held by no other
+            # frame, and leaves the rest as they are.
             with self._lock:
                 for entry in found:
                     if entry is not None:
@@ -312,7 +314,8 @@ class PagePool:
         self._give_back(entry)
 
     def _give_back(self, entry: Entry) -> None:
-        """Free the pages of an entry that is neither held nor listed.
+        """Free the slot and the pages of an entry, if it is neither held nor listed and they are
+        not free yet.
 
         The last page is given back first, so that pages are then taken in ascending order, the
         fastest to read.

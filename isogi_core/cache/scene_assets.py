@@ -324,16 +324,17 @@ def fetch_volume(digest: str, store: Store) -> Volume:
 
 
 def download(asset: Asset, draft: Draft, digest: str) -> dict[str, Any]:
-    """Copy a volume's voxels from the store to a ``draft``, make it valid, and return the volume's
-    facts.
+    """Copy a volume's voxels from the store to a ``draft``, write its header, and return the
+    volume's facts.
 
     Raises StoreError if the volume is missing or damaged, or has another ``digest``: the ``draft``
-    is not valid then.
+    has no header then, and is never read.
     """
     shape, _, _, facts = asset.describe()
     # Compute the digest along the way, as voxels pass by only once.
     seen = begin_digest(shape, facts["spacing"], facts["offset"], facts["scale"])
     for slab in asset.slabs():
+        # Voxels are stored as float32, as draft and digest need them: this copies nothing.
         for plane in slab.astype(np.float32, copy=False):
             draft.write(plane)
             seen.update(plane.data)

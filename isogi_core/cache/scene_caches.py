@@ -182,17 +182,18 @@ class Loader:
 def wait_for_read(store: Store, reading: Future[Made]) -> Made:
     """Wait for a ``reading`` of the ``store``, and return its result.
 
-    Raises StoreAwayError if the store is remote, and no read of it by anyone has ended for as long
+    Raises StoreAwayError if the store is remote, and has answered no read of any thread for as long
     as one call may take. So a long queue of reads does not count as silence.
     """
-    while store.url.remote:
+    if not store.url.remote:
+        return reading.result()
+    while True:
         try:
             return reading.result(store.url.seconds)
         except TimeoutError:
-            # Other reads end, so the store is slow but not silent: keep waiting.
+            # While the store answers other reads it is slow, but not silent: keep waiting.
             if store.seconds_silent >= store.url.seconds:
                 raise store.note_silence() from None
-    return reading.result()
 
 
 def read_ahead(

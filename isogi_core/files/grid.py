@@ -450,16 +450,20 @@ def _between(layer: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.nda
 
 
 ROUNDING = 1e-12
-"""Share of the values that a sum is made of below which it is no more than their rounding."""
+"""Greatest size of a weighted sum, as a share of its greatest part, that is no more than rounding:
+doubles are rounded at 1e-16.
+"""
 
 
 def cancelled(values: np.ndarray, parts: Sequence[np.ndarray]) -> np.ndarray:
-    """Return ``values``, the sums of ``parts``, with 0 for sums that cancel.
+    """Return the weighted sums ``values`` of some ``parts``, with 0 in place of those that cancel:
+    finite ones of at most ROUNDING times their greatest part. All arrays have the same shape.
 
-    What rounding leaves of these is no value of the field, and a survey of a field of few values
-    would count it as one.
+    The rest that rounding leaves of such a sum is no value of the field, and a survey of a field of
+    few values would count it as one. Infinite sums stay: they are holes.
     """
     greatest = np.abs(parts[0])
     for part in parts[1:]:
         np.maximum(greatest, np.abs(part), out=greatest)
-    return np.where(np.abs(values) <= ROUNDING * greatest, 0.0, values)
+    cancel = np.isfinite(values) & (np.abs(values) <= ROUNDING * greatest)
+    return np.where(cancel, 0.0, values)

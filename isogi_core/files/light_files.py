@@ -96,7 +96,8 @@ UPRIGHT_ROTATION = [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]
 
 def glb_bytes(mesh: LitMesh) -> bytes:
     """Return a binary glTF 2.0 file: linear COLOR_0, and no other light (KHR_materials_unlit).
-    Vertices are floats about the mesh's middle, whose place is that of the node.
+    Vertices are float32 relative to the middle of the mesh's bounding box, so that they keep their
+    digits; the node is moved to that middle.
     """
     middle = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2.0
     parts = [
@@ -233,9 +234,11 @@ def Xform "Isosurface" (
 
 
 def usd_layer(mesh: LitMesh, texture: str) -> bytes:
-    """Return the layer of a mesh that emits the light of the file ``texture`` and reflects none.
-    Points are about the mesh's middle, whose place is that of the root; a turn brings z up to USD's
-    y up.
+    """Return the USD layer, as text, of a mesh that emits the light of the file ``texture`` and
+    reflects none.
+
+    Points are relative to the middle of the mesh's bounding box, so that float32 keep their digits.
+    The root turns z up to USD's y up, and then moves the mesh to that middle.
     """
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     x, y, z = ((low + high) / 2.0).tolist()
@@ -291,25 +294,32 @@ def texture_places(quads: int) -> np.ndarray:
 
 
 FILE_ALIGNMENT = 64
-PADDING_FIELD = 0x1986
-LOCAL_HEADER = 30
-"""Bytes that each file of a package begins at a multiple of; the extra field that fills up; a ZIP
-header's bytes.
-"""
+"""Number of bytes of which the data of each file begin at a multiple in a usdz package."""
+
+LOCAL_HEADER_BYTES = 30
+"""Bytes of a ZIP archive's header of a file, before the file's name."""
+
+PADDING_ID = 0x1986
+"""Id of the extra field with which a header is filled up."""
+
+FIELD_HEAD_BYTES = 4
+"""Bytes of an extra field before its content: its id and its length."""
 
 
 def usdz_package(files: dict[str, bytes]) -> bytes:
-    """Return a usdz package: a ZIP archive of stored files whose bytes are aligned; the first is
+    """Return a usdz package: a ZIP archive of ``files``, the data of each by its name. The first is
     the layer to open.
+
+    Nothing is compressed, and data are aligned to FILE_ALIGNMENT, as readers map them into memory.
     """
     package = io.BytesIO()
     with zipfile.ZipFile(package, "w", zipfile.ZIP_STORED) as archive:
         for name, data in files.items():
             entry = zipfile.ZipInfo(name)
-            start = package.tell() + LOCAL_HEADER + len(name.encode()) + 4
-            entry.extra = struct.pack("<HH", PADDING_FIELD, -start % FILE_ALIGNMENT) + bytes(
-                -start % FILE_ALIGNMENT
-            )
+            # Fill the extra field with zeros up to the next place where data may begin.
+            head = LOCAL_HEADER_BYTES + len(name.encode()) + FIELD_HEAD_BYTES
+            padding = -(package.tell() + head) % FILE_ALIGNMENT
+            entry.extra = struct.pack("<HH", PADDING_ID, padding) + bytes(padding)
             archive.writestr(entry, data)
     return package.getvalue()
 

@@ -31,8 +31,13 @@ Shape = tuple[int, ...]
 
 @contextmanager
 def new_voxels(path: Path) -> Iterator["Draft"]:
-    """Write the file ``path`` by a draft; after the block the file is whole, and safe from a loss
-    of power. The draft's name ends in ``.partial``; it is deleted if the block fails.
+    """Write a file of voxels to ``path``, whole or not at all: yield a draft, which the block fills
+    and seals.
+
+    After the block the draft is forced to the disk, and then renamed to ``path``: a loss of power
+    leaves the new file, or the state before. If the block fails, the draft is deleted, and ``path``
+    stays as it was. Drafts of one path have the same name, which ends in ``.partial``: only one
+    process at a time may write to ``path``.
     """
     partial = path.with_suffix(PARTIAL_SUFFIX)
     try:
@@ -48,7 +53,9 @@ def new_voxels(path: Path) -> Iterator["Draft"]:
 
 
 class Draft:
-    """A file of voxels that is being written, plane by plane; ``seal`` makes it valid."""
+    """A file of voxels that is being written, plane by plane. Until ``seal`` has written its header
+    it is not valid: ``read_voxels`` returns None for it.
+    """
 
     def __init__(self, file: IO[bytes]) -> None:
         """Write to ``file``, which is at the byte after the header."""

@@ -154,8 +154,11 @@ def _stamp_of_folder(root: Path) -> str:
 
 
 def _stamp_of_objects(root: str, store: Any) -> str:
-    """Return a digest (hex) of all objects at a URL; of the metadata alone if they cannot be
-    listed, as over plain HTTP.
+    """Return a digest (hex) of the paths, sizes, tags and times of change of all objects at the URL
+    ``root``; ``store`` is obstore's connection to it.
+
+    If objects cannot be listed, as over plain HTTP, only the metadata files of the root count:
+    changes of chunks, and of metadata further inside, go unnoticed.
     """
     import obstore  # noqa: PLC0415 (an extra)
 
@@ -170,7 +173,9 @@ def _stamp_of_objects(root: str, store: Any) -> str:
 
 
 def _head(store: Any, name: str) -> Any:
-    """Return the store's metadata of an object; None if there is none."""
+    """Return path, size, tag and time of change of an object in obstore's ``store``; None if there
+    is no such object.
+    """
     import obstore  # noqa: PLC0415 (an extra)
 
     try:
@@ -233,12 +238,14 @@ def open_zarr(
 
     ``path``, a folder or a URL, is the array or the image, or an array inside one
     (``brain.zarr/2``). ``level`` 0 is the finest resolution; the default is the finest that memory
-    and pictures have room for. ``channel`` and ``time`` choose along these axes. If a ``region`` is
-    given, only chunks in it are read. Spacing is the scale of the image, in the unit of x, else 1.
+    and pictures have room for. ``channel`` and ``time`` choose along these axes; the default is the
+    first time step. If a ``region`` is given, only chunks in it are read. Spacing is the scale of
+    the image, in the unit of x; without an image it follows from the coordinates of the axes, and
+    is 1 if there are none.
 
-    Raises VolumeError if there is no such array, if it has other axes of more than one element, if
-    its codecs are not installed, and for links that lead out of the folder. The slabs raise it for
-    damaged chunks.
+    Raises VolumeError if there is no such array, if none of several channels is chosen, if another
+    axis that is neither in space nor time has more than one element, if its codecs are not
+    installed, and for links that lead out of the folder. The slabs raise it for damaged chunks.
     """
     found = find_array(path, level)
     if level is None and region is None:

@@ -24,7 +24,7 @@ Layer = tuple[np.ndarray, np.ndarray, np.ndarray | float]
 """Part of the content of rays: ray numbers, points and shares; see ``Frame.layers``."""
 
 MIN_RAY_SHARE = 1e-6
-"""Share of a ray below which nothing is gathered behind the layers that it shows."""
+"""Share of a ray, left by the layers that it shows, up to which it is not followed to infinity."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,9 +81,13 @@ class EyeGlow:
     def before_layers(
         self, eye: Vector, directions: np.ndarray, layers: Iterable[Layer], tiles: Tiles
     ) -> np.ndarray:
-        """Gather glow along rays from the ``eye`` in ``directions`` (n, 3), up to each of the
-        ``layers`` that they show, by the shares of these, and behind all of them by the share
-        that is left; (n, k). Raises Cancelled.
+        """Gather each glow, as if of radiance 1, along rays from the ``eye`` in ``directions`` (n,
+        3), all in index space; (n, k).
+
+        It is a mean over each ray by shares: the glow from the eye to the point of each of the
+        ``layers`` that the ray shows counts by the share of that point, and the glow from the eye
+        to infinity by the share that is left. A ray is in each layer at most once. Raises
+        Cancelled.
         """
         gathered = np.zeros((len(directions), len(self.radiances)))
         left = np.ones(len(directions))
@@ -93,7 +97,7 @@ class EyeGlow:
             reaches = np.sqrt(((points - np.array(eye)) ** 2).sum(axis=1) / (ways**2).sum(axis=1))
             gathered[rays] += np.reshape(shares, (-1, 1)) * self.along(eye, ways, reaches, tiles)
             left[rays] -= shares
-        # The light that no layer stops comes from infinitely far.
+        # The share that no layer stops shows all glow along the ray, from the eye to infinity.
         open_air = np.flatnonzero(left > MIN_RAY_SHARE)
         endless = self.along(eye, directions[open_air], np.full(len(open_air), math.inf), tiles)
         gathered[open_air] += left[open_air, None] * endless

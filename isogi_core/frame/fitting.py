@@ -74,14 +74,18 @@ def fitted_to_all(
     walls = wall_points(scene)
     everything = np.concatenate([shown, walls])
     middle = (everything.min(axis=0) + everything.max(axis=0)) / 2.0
-    # Points that are nearer need more distance in perspective, and none with parallel rays.
+    # How near points are to the camera adds to the distance in perspective, but not with parallel
+    # rays.
     if projection == PROJECTIONS[0]:
-        depth = 1.0
+        perspective = 1.0
     else:
-        depth = 0.0
+        perspective = 0.0
     # The view that needs the largest distance decides.
     away = max(
-        max(needed_around(shown - middle, stand, depth), needed_from(walls - middle, stand, depth))
+        max(
+            needed_around(shown - middle, stand, perspective),
+            needed_from(walls - middle, stand, perspective),
+        )
         for stand in stands
     )
     return triple(middle), max(away / scene.volume.radius, NEAREST)
@@ -151,44 +155,50 @@ def corners_of(walls: Sequence[Wall]) -> np.ndarray:
 
 
 def slopes_of(view: View) -> tuple[float, float]:
-    """Return how far from the axis of a fitted camera points may lie, across and up, for each
-    unit of depth.
+    """Return the largest distances from the axis of a fitted camera, across and up, at which it
+    sees points, per distance from the camera along the axis.
     """
     slope = FILLED * math.tan(math.radians(view.camera.fov) / 2.0)
     return slope * view.width / view.height, slope
 
 
-def needed_around(points: np.ndarray, stand: Stand, depth: float) -> float:
+def needed_around(points: np.ndarray, stand: Stand, perspective: float) -> float:
     """Return the least distance from the origin at which cameras at every azimuth, at the elevation
     e of a ``stand``, see ``points`` (n, 3).
 
-    A point at radius r about the z axis and at height z, turned by φ towards the camera, is at r
-    cos φ cos e + z sin e in depth, r sin φ across and z cos e - r cos φ sin e up. It is seen from
-    at least depth + |across| / s and depth + |up| / t, with s and t from ``slopes_of``; the maximum
-    of a cos φ + b sin φ over φ is √(a² + b²). ``depth`` is 1, or 0 for a camera with parallel rays,
-    to which depth does not matter.
+    A point at radius r about the z axis and at height z, at the angle φ from the camera's azimuth,
+    is n = r cos φ cos e + z sin e nearer to the camera than the origin, r sin φ across and z cos e
+    - r cos φ sin e up. It is seen from at least n + |across| / s and n + |up| / t, with s and t
+    from ``slopes_of``; the maximum of a cos φ + b sin φ over φ is √(a² + b²). ``perspective`` is 1,
+    or 0 for a camera with parallel rays, which counts n as 0.
     """
     across, up = slopes_of(stand.view)
     e = math.radians(stand.elevation)
     cosine, sine = math.cos(e), math.sin(e)
     radius = np.hypot(points[:, 0], points[:, 1])
     height = points[:, 2]
+    # The share of the radius and of the height by which a point is nearer to the camera.
+    near_radius, near_height = perspective * cosine, perspective * sine
     # The largest distance of each point for the left and right edges of the picture, for its top,
     # and for its bottom.
-    across_most = radius * math.hypot(depth * cosine, 1.0 / across) + depth * sine * height
-    above = radius * abs(depth * cosine - sine / up) + height * (depth * sine + cosine / up)
-    below = radius * abs(depth * cosine + sine / up) + height * (depth * sine - cosine / up)
+    across_most = radius * math.hypot(near_radius, 1.0 / across) + near_height * height
+    above = radius * abs(near_radius - sine / up) + height * (near_height + cosine / up)
+    below = radius * abs(near_radius + sine / up) + height * (near_height - cosine / up)
     return float(max(each.max() for each in (across_most, above, below)))
 
 
-def needed_from(points: np.ndarray, stand: Stand, depth: float) -> float:
-    """Return the least distance from the origin at which the camera of a ``stand`` sees
-    ``points`` (n, 3): see ``needed_around``.
+def needed_from(points: np.ndarray, stand: Stand, perspective: float) -> float:
+    """Return the least distance from the origin at which the camera of a ``stand``, at its azimuth
+    and elevation, sees world ``points`` (n, 3) relative to the origin; 0 if there are none.
+
+    A point is seen from at least n + |across| / s and n + |up| / t, if it is n nearer to the camera
+    than the origin, with s and t from ``slopes_of``. ``perspective`` is 1, or 0 for a camera with
+    parallel rays, which counts n as 0.
     """
     camera = orbit((0.0, 0.0, 0.0), 1.0, stand.azimuth, stand.elevation, 1.0, stand.view.camera.fov)
     right, up, forward = camera.basis()
     needed = [
-        np.abs(points @ axis) / slope - depth * (points @ forward)
+        np.abs(points @ axis) / slope - perspective * (points @ forward)
         for axis, slope in zip((right, up), slopes_of(stand.view), strict=True)
     ]
     return float(np.max(needed, initial=0.0))

@@ -43,8 +43,10 @@ class Shot:
 
     @property
     def plain(self) -> bool:
-        """True if one surface is shown alone, without walls, that reflects evenly, and if nothing
-        glows: nothing but texels, lobes and paths from pixels lights the picture then.
+        """True if nothing but texels, lobes and paths from pixels lights the picture: the scene has
+        one surface, which does not shine, no pixel shows a wall, and nothing glows.
+
+        Other light may change a picture while its texels and its check stay the same.
         """
         scene = self.scene
         return not (

@@ -187,8 +187,10 @@ class TexelShading:
         return reading, self._carry(texels, reading, lit, shot)
 
     def lit(self, texels: ViewTexels, shot: Shot) -> tuple[Reading, np.ndarray]:
-        """Return the reading of the texels of a ``shot``, and their light (texels, LIGHT_NUMBERS),
-        filtered if it is grainy.
+        """Return the reading of the texels of a ``shot``, and their light (texels, LIGHT_NUMBERS).
+
+        Grainy light of global illumination is filtered. Texels without light then take that of
+        their neighbours, and are CONVERGING in the reading. Raises the errors of ``Loader.ensure``.
         """
         # Read the light of each level, and mix it.
         found = [self._lit_by(each.caches, texels, shot) for each in self._levels]
@@ -196,8 +198,8 @@ class TexelShading:
         if not self._is_filtered(shot.view, reading):
             return reading, lit
         view = shot.view
-        # Filtering takes long, and is kept for as long as light and texels stay the same. Its
-        # normals are those that the texels are lit about.
+        # Filtering takes long. Its result is kept while the version of the reading, and thus the
+        # light of the texels, stays the same. The key does not keep the texels in memory.
         key = (
             FilteredLight,
             weakref.ref(texels),
@@ -213,10 +215,10 @@ class TexelShading:
             with shot.watch.stage("normals"):
                 about = self._texel_normals(texels, reading, shot)
             with shot.watch.stage("filter"):
-                found, smooth = filter_texel_light(
+                after, smooth = filter_texel_light(
                     texels, reading, lit, about, shot.light, shot.tiles
                 )
-            return FilteredLight(found.grade != reading.grade, smooth)
+            return FilteredLight(after.grade != reading.grade, smooth)
 
         filtered = self._kept.get(key, make)
         grade = np.where(filtered.borrowed, np.uint8(CONVERGING), reading.grade)

@@ -248,7 +248,9 @@ Row = tuple[int, np.ndarray, np.ndarray, np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class Lamps:
-    """All lamps of a scene, in its order: ``arrays`` for the kernels, and their hex ``digest``."""
+    """All lamps of a scene, in its order: ``arrays`` for the kernels, in the box of the volume, and
+    their hex ``digest``.
+    """
 
     arrays: LampArrays
     digest: str
@@ -259,8 +261,8 @@ class Lamps:
         return len(self.arrays.kinds) > 0
 
     def seen_from(self, point: Vector, least: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-        """Return unit directions (k, 3) from a world ``point`` to the lamps, and the irradiance (k,
-        3) of a surface at the point that faces each.
+        """Return unit directions (k, 3) from a ``point`` of the volume's box to the lamps, and the
+        irradiance (k, 3) of a surface at the point that faces each.
 
         Shadows are left out. An area light counts as a point in its middle, and is dark from
         behind. A lamp nearer than ``least`` counts as that far away and facing the point; one at
@@ -284,16 +286,17 @@ class Lamps:
         ]
 
     def approximate(self, order: int, centre: Vector, radius: float) -> np.ndarray:
-        """Return SH coefficients (3, n²) float64 of the lamps, each treated as infinitely far from
-        ``centre``: Σ E Y_i(d).
+        """Return SH coefficients (3, n²) float64 of the lamps, Σ E Y_i(d), for the ``order`` n.
 
-        Lamps within ``radius`` count as that far away. A lamp at the centre shines evenly from all
-        sides.
+        Each lamp counts as infinitely far away, in its direction d from ``centre``, a point of the
+        box. Lamps within ``radius`` are as bright as at that distance. A lamp at the centre shines
+        evenly from all sides.
         """
         coefficients = np.zeros((3, order**2))
         if self.any:
             directions, irradiances = self.seen_from(centre, radius)
-            # A lamp at the centre has no direction: spread it over all, as band 0.
+            # A lamp at the centre has no direction: its E, spread over all of them, is the radiance
+            # E/4π, whose only coefficient is that of band 0, E/4π · √(4π).
             away = directions.any(axis=1)
             project_lamps(order, directions[away], irradiances[away], coefficients)
             coefficients[:, 0] += irradiances[~away].sum(axis=0) / math.sqrt(4.0 * math.pi)
@@ -313,8 +316,8 @@ class Lamps:
 
 
 def gather_lamps(lights: Sequence[Light], orientation: Orientation = PLAIN_ORIENTATION) -> Lamps:
-    """Gather the lamps among the ``lights`` into arrays, in the box of a volume with an
-    ``orientation``.
+    """Gather the lamps among the ``lights``, which lie in the world, into arrays in the box of a
+    volume with an ``orientation``.
     """
     rows = [_row(light) for light in lights if isinstance(light, Lamp)]
     arrays = LampArrays(
@@ -323,7 +326,7 @@ def gather_lamps(lights: Sequence[Light], orientation: Orientation = PLAIN_ORIEN
         np.array([row[2] for row in rows], np.float64).reshape(-1, 2, 3),
         np.array([row[3] for row in rows], np.float64).reshape(-1, 3),
     )
-    # Lamps are given in the world, kernels take them in the box.
+    # Up to here the arrays are in the world; kernels take them in the box.
     if orientation.placed:
         arrays = _in_box(arrays, orientation)
     digest = hashlib.blake2b(digest_size=16)

@@ -227,6 +227,8 @@ def _check_range(
 def light_from_mapping(mapping: Mapping[str, Any], base: Path) -> Light:
     """Read the light of one ``[[lights]]`` table of a scene; its files are relative to ``base``.
 
+    Environments by formula are not among these lights: ``light_named`` reads them.
+
     Raises SceneError if the type or a key is unknown, missing or of the wrong kind, and LightError
     if a value has no meaning.
     """

@@ -76,7 +76,11 @@ def read_window(text: str) -> Window:
 
 
 def _read_term(term: str) -> Plane:
-    """Read one term as a plane. Raises ViewError."""
+    """Read one term of a window as a plane (nx, ny, nz, w) with a unit normal, in the coordinates
+    of the term: it removes the points p for which the term is true, and keeps n · p + w ≥ 0.
+
+    Raises ViewError if it is no term, or the plane has no direction or is too far away.
+    """
     # The pattern is tried on terms of a sensible length alone.
     match = TERM_PATTERN.fullmatch(term) if len(term) <= 200 else None
     if match is None:
@@ -87,7 +91,6 @@ def _read_term(term: str) -> Plane:
     named = match[1]
     sign = -1.0 if match[2] == ">" else 1.0
     limit = float(match[3])
-    # Scale the plane to a unit normal.
     normal = AXIS_NORMALS.get(named) or triple([float(each) for each in named.split(",")])
     length = math.hypot(*normal)
     if (
@@ -95,10 +98,11 @@ def _read_term(term: str) -> Plane:
         or not abs(limit) <= MAX_PLANE_NUMBER * length
     ):
         raise ViewError(
-            f"The plane '{term}' has no direction, or is too far away: give a longer normal or "
-            "a smaller limit."
+            f"The plane '{term}' has no direction, or is too far away: give a normal about 1 long, "
+            "or a smaller limit."
         )
-    # Normalise the plane so that points to keep are on its positive side; adding 0 turns -0 into 0.
+    # Divide by the length for a unit normal, and turn it to the side that is kept; adding 0 turns
+    # -0 into 0.
     x, y, z = (sign * each / length + 0.0 for each in normal)
     return x, y, z, -sign * limit / length + 0.0
 

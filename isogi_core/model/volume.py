@@ -339,11 +339,12 @@ class Volume:
         progress: Progress = no_progress,
         tally: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> "Volume":
-        """Return the volume with the counts of its histogram and the core's span kept; finding them
-        takes passes over all voxels.
+        """Return a copy of this volume that keeps its core's span and the counts of its histogram
+        in ``bins`` bins; the volume itself if it keeps them already. Voxels are not copied.
 
-        With a ``tally``, the distinct voxels and the number of each, no pass is needed.
-        ``progress`` is called for the last stage of making a copy.
+        Finding both takes passes over all voxels. With a ``tally``, the distinct voxels and the
+        number of each, no pass is needed. ``progress`` is called for the last stage of making a
+        copy.
         """
         if len(self.counts) == bins and self.span:
             return self

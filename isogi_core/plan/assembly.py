@@ -152,7 +152,8 @@ def plan_inputs(
     target_error: float,
 ) -> PlanInputs:
     """Collect the facts of a scene that its plan depends on."""
-    # Light is planned for the highest albedo that views may ask for.
+    # Plan for the most light that may leave the surface: that of the highest albedo that views may
+    # ask for; if they may not, the scene's albedo plus its transmission.
     if overrides.albedos is None:
         albedo = leaving(surfaces.albedo, surfaces.transmission)
     else:
@@ -166,7 +167,7 @@ def plan_inputs(
         lighting.rotating,
         albedo,
         target_error,
-        (*lighting.room.albedos, *surfaces.met),
+        walls=(*lighting.room.albedos, *surfaces.met),
         coloured=colours is not None and not colours.grey,
         by_data=colours is not None,
         glows=len(lighting.glowing.glows),
@@ -332,7 +333,7 @@ def default_isovalue(settings: Settings, volume: Volume) -> float:
         return LABEL_ISOVALUE
     name = settings.text("volume", DEFAULT_DEMO)
     if name.startswith("demo:"):
-        return float(DEMOS[name.removeprefix("demo:")][1])
+        return float(DEMOS[name.removeprefix("demo:")].isovalue)
     return halfway(volume, otsu(*volume.histogram()))
 
 

@@ -13,11 +13,11 @@ from isogi_core.kernels.transport.harmonics import (
 )
 from isogi_core.model.environment import LUMINANCE_WEIGHTS, Environment
 
-# Gauss nodes and weights on [0, 1]: exact to rounding up to MAX_ORDER, even over a whole meridian.
-GAUSS_NODES, GAUSS_WEIGHTS = (
-    0.5 * (g + shift)
-    for g, shift in zip(np.polynomial.legendre.leggauss(24), (1.0, 0.0), strict=True)
-)
+# Gauss nodes and weights, moved from [-1, 1] to [0, 1]: exact to rounding up to MAX_ORDER, even if
+# one row is a whole meridian.
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(24)
+GAUSS_NODES = 0.5 * (_NODES + 1.0)
+GAUSS_WEIGHTS = 0.5 * _WEIGHTS
 
 
 def project_environment(environment: Environment, order: int) -> np.ndarray:

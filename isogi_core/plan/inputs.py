@@ -60,9 +60,11 @@ class PlanInputs:
 
     - ``environment``, ``lamps``: the lights; ``rotating``: True if views may turn them.
     - ``centre``, ``radius``: the ball around the volume, in world units.
-    - ``albedo``: the highest that views may ask for, linear RGB.
+    - ``albedo``: the highest that views may ask for, or the scene's plus its transmission, linear
+      RGB.
     - ``target_error``: relative error of pictures.
-    - ``walls``: albedos of walls, or of several surfaces.
+    - ``walls``: albedos of walls, and those of surfaces if light passes through some surface or
+      enters it.
     - ``by_data``: True if the surface has its albedo by data, at most ``albedo``; ``coloured``:
       True if some of these colours are not grey.
     - ``glows``: number of glows in the volume.

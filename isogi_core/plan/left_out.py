@@ -95,16 +95,16 @@ def bands(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
     direct, *reflected = (layer for layer in plan.layers if layer.kind != GLOW_KIND)
     if direct.order < MEASURED_BANDS:
         error = truncation_error(inputs.energy_beside(plan.lobes), direct.order, "direct")
-        yield cut(direct, MEASURED_BANDS, error, inputs)
+        yield missing_bands(direct, MEASURED_BANDS, error, inputs)
     for layer in reflected:
         if layer.order < direct.order:
             error = truncation_error(inputs.energy, layer.order, "indirect", max(inputs.albedo))
-            yield cut(layer, direct.order, error, inputs)
+            yield missing_bands(layer, direct.order, error, inputs)
 
 
-def cut(layer: Layer, order: int, error: float, inputs: PlanInputs) -> LeftOut:
-    """Return the entry for the bands below ``order`` that a ``layer`` does not keep, with the
-    relative ``error`` that this causes.
+def missing_bands(layer: Layer, order: int, error: float, inputs: PlanInputs) -> LeftOut:
+    """Return the entry for the bands below ``order`` that a ``layer`` of direct or reflected light
+    does not keep, with the relative ``error`` that this causes.
     """
     if layer.order < order - 1:
         names = f"bands {layer.order} to {order - 1}"
@@ -293,19 +293,22 @@ def turning(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
 
 
 def shadow_rays(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
-    """Yield shadow rays towards bright parts of the environment, and the table that they are
-    sampled from.
+    """Yield the table by which shadow rays would be aimed at bright parts of the environment, if
+    that is not ``sharp``; and all shadow rays, if there are no lamps either.
     """
     if inputs.environment.sharp:
         return
+    # Lamps always get shadow rays: without lamps no hit sends any.
     if not inputs.lamps.any:
         why = "No light is sharp: the rays that the surface draws find it."
         yield LeftOut("shadow rays", why, (Saving(1, "ray per hit"),))
+    # The table has cumulative shares of 8 bytes: over the rows, and within each row. An image of
+    # one pixel is constant.
     height, width = inputs.environment.image.shape[:2]
     if height * width > 1:
-        table = 8 * (height + 1 + height * (width + 1))
+        size = 8 * (height + 1 + height * (width + 1))
         why = "No ray is aimed at the environment, as it is not sharp."
-        yield LeftOut("sampling table of the environment", why, (Saving(table / 1e6, "megabytes"),))
+        yield LeftOut("sampling table of the environment", why, (Saving(size / 1e6, "megabytes"),))
 
 
 def kernels(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:

@@ -381,6 +381,7 @@ def rounded(
     """
     if overrides.precision is None:
         return next(kept for kept in precisions(layers) if fits(kept, inputs, lobes))
+    # The smallest precision has bytes, unless no layer has a band that may be kept in them.
     if overrides.precision == "bytes":
         kept = next(precisions(layers))
         if all(layer.coarse is None for layer in kept):

@@ -279,16 +279,19 @@ def read_transmission(settings: Settings, albedo: Colour, colours: SurfaceColour
 
 
 def refuse_with_several(settings: Settings, colours: SurfaceColours | None, what: str) -> None:
-    """Raise SceneError if the scene has a feature that several surfaces cannot be lit with.
-    ``what`` is the key that makes the surfaces several.
+    """Raise SceneError if the scene has colours by data, a shine, or albedos that views choose.
+
+    Several surfaces light each other: that light is baked for one fixed albedo each, without shine.
+    ``what`` is the key of the scene's file that makes the surfaces several, for the message.
     """
     excluded = {
         "colours by data": colours is not None,
         "a shine": settings.table("shine") is not None,
         "albedos that views choose": settings.span("albedos", 0.0, 1.0) is not None,
     }
-    for each, there in excluded.items():
-        if there:
+    for feature, given in excluded.items():
+        if given:
             raise SceneError(
-                f"The scene '{settings.source.name}' has {what} and {each}: leave one of them out."
+                f"The scene '{settings.source.name}' has {what} and {feature}: leave one of them "
+                "out."
             )

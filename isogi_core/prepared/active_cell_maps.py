@@ -176,12 +176,13 @@ class ActiveCellMaps:
         return self._kept.get((first, last), lambda: self._make(first, last, run))
 
     def groups(self, isovalues: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the number of the group of each of ``isovalues`` (m,), none NaN; and for each
-        group the least and greatest isovalue that its map is to cover, (groups, 2).
+        """Divide ``isovalues`` (m,), none NaN, into groups that share a map. Return the number of
+        each one's group (m,), and for each group the levels at which its map begins and ends,
+        (groups, 2), which may be infinite.
 
-        Groups are NARROW_LEVELS wide, or as wide as needed for the maps of all groups that were
-        asked for to be kept, as each may be needed again. They widen as more isovalues are asked
-        for: a group's number is valid for the result of one call.
+        Groups are NARROW_LEVELS wide at first. Each map that was asked for may be needed again, so
+        groups widen until all such maps together fit into the bytes that are kept. A group's number
+        is therefore valid for the result of one call.
         """
         places = np.searchsorted(self.levels, isovalues, "right") - 1
         with self._lock:
@@ -190,10 +191,9 @@ class ActiveCellMaps:
                 self._ask(places)
                 self._widen()
                 self._grouped = None
-            ends, spans = self._grouped = self._grouped or (
-                self.levels[self._edges()],
-                self.levels[self._spans()],
-            )
+            if self._grouped is None:
+                self._grouped = self.levels[self._edges()], self.levels[self._spans()]
+            ends, spans = self._grouped
         return np.searchsorted(ends, isovalues, "right") - 1, spans
 
     def _ask(self, places: np.ndarray) -> None:
@@ -246,8 +246,8 @@ class ActiveCellMaps:
         return np.array([0, *range(1, last, self._width), last])
 
     def _spans(self) -> np.ndarray:
-        """Return, for each group, the places of two levels: those below and above all intervals of
-        the group that were asked for, or its ends if none was; (groups, 2).
+        """Return, for each group, the places of two levels: those that enclose all its intervals
+        that were asked for, or its own ends if none was; (groups, 2).
         """
         edges = self._edges()
         # Count the intervals asked for from the first of their group.
@@ -346,8 +346,8 @@ def find_codes(volume: Volume) -> VoxelCodes:
 
 VOXELS_BEFORE = 1
 VOXELS_AFTER = 2
-"""Voxels along each axis that drawing a cell reads before the cell's first voxel, and from it
-on: those of the B-spline.
+"""Voxels along each axis that drawing a cell reads before the cell's first voxel, and after it:
+four with the first one itself, those of the cubic B-spline.
 """
 
 
@@ -357,7 +357,9 @@ class IdleVoxels:
     """
 
     def __init__(self, voxels: np.ndarray, low: Isovalue, high: Isovalue) -> None:
-        """Find the values that stand for idle voxels: the nearest to the range on either side."""
+        """Find the values that stand for idle voxels: the greatest up to ``low``, and the least
+        above ``high``.
+        """
         self._voxels = voxels
         self._range = (low, high)
         above = [float(layer[layer > high].min(initial=np.inf)) for layer in voxels]
@@ -365,11 +367,14 @@ class IdleVoxels:
         self._sides = max(below), min(above)
 
     def flattened(self, first: int, last: int) -> np.ndarray:
-        """Return the layers from ``first`` to before ``last`` with all idle voxels of one side
-        set to the same value; voxels without a value stay.
+        """Return the layers from ``first`` to before ``last``, (layers, ny, nx) float32, with idle
+        voxels made alike.
+
+        Idle voxels up to the low end of the range become the greatest such value of the volume,
+        those above its high end the least such. Those within the range, and holes, stay.
         """
-        # Voxels of the first and last layers are also read by cells beyond these: add the layers of
-        # their corners.
+        # Cells from first - VOXELS_AFTER to last - 1 + VOXELS_BEFORE read voxels of these layers:
+        # take all layers in which such cells have corners.
         a = max(first - VOXELS_AFTER, 0)
         b = min(last + VOXELS_AFTER, len(self._voxels))
         slab = self._voxels[a:b]
@@ -387,11 +392,12 @@ class IdleVoxels:
 
 
 def voxels_read(cells: np.ndarray, axis: int) -> np.ndarray:
-    """Return which voxels along an ``axis`` drawing the marked ``cells`` reads; bool, one more
-    than cells along that axis.
+    """Widen the marks of ``cells`` along an ``axis`` to all voxels that drawing these cells reads;
+    bool, one more voxel than cells along that axis.
     """
     marks = np.moveaxis(cells, axis, 0)
-    # A marked cell marks the voxels before it and after it; drop those beyond the volume.
+    # Cell n reads the voxels n - VOXELS_BEFORE to n + VOXELS_AFTER, which have the places from n on
+    # in ``wide``. Drop those beyond the volume at the end.
     wide = np.zeros((len(marks) + VOXELS_BEFORE + VOXELS_AFTER, *marks.shape[1:]), np.bool_)
     for shift in range(VOXELS_BEFORE + VOXELS_AFTER + 1):
         wide[shift : shift + len(marks)] |= marks

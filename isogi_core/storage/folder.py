@@ -66,13 +66,13 @@ class Folder:
         Raises ChangedError if another was written meanwhile.
         """
         path = self.path / key
-        # Write the data before taking the lock, as that takes long: under the lock are one read and
-        # one rename.
+        # Open the sentinel first: that fails if the store is gone, and takes no lock yet. Lock it
+        # after the data is written, which takes long: under the lock are one read and one rename.
         with (
-            open_descriptor(self.path / self.sentinel, os.O_RDWR) as lock,
+            open_descriptor(self.path / self.sentinel, os.O_RDWR) as sentinel,
             self._partial(path, data) as written,
         ):
-            fcntl.flock(lock, fcntl.LOCK_EX)
+            fcntl.flock(sentinel, fcntl.LOCK_EX)
             if self.get(key) != former:
                 raise ChangedError(f"Another writer has changed {key} meanwhile: read it again.")
             os.replace(written, path)

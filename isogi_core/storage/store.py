@@ -279,7 +279,7 @@ class Store:
 
     @property
     def seconds_silent(self) -> float:
-        """Seconds since an object was last read."""
+        """Seconds since the store last answered a read, with an object or without."""
         return self._clock() - self._last_answer
 
     def note_silence(self) -> StoreAwayError:
@@ -325,8 +325,9 @@ class Store:
     def only_read(self) -> bool:
         """Return True if the store is read-only.
 
-        If it was so at the last test, and this method has not tested it for WRITE_RETRY_SECONDS,
-        test it now, which takes a call to the store. If the test fails, no error is raised.
+        ``read_only`` is the result of the last test for writing. If it is True, test again first,
+        but not within WRITE_RETRY_SECONDS of the last time. This takes calls to the store; if they
+        fail, no error is raised.
         """
         if self.read_only and self._clock() >= self._tried + WRITE_RETRY_SECONDS:
             self._tried = self._clock()

@@ -173,7 +173,7 @@ class Baker:
         self._stopped = threading.Event()
         self._writing: threading.Thread | None = None
         self._in_flight = 0
-        self._done_tasks = self._done_chunks = self._failed_tasks = 0
+        self._done_tasks = self._done_chunks = self._failed_chunks = 0
         self._duplicate = self._healed = self._kept = 0
         self.paths = 0
         self._seconds = 0.0
@@ -361,22 +361,27 @@ class Baker:
         return self._pause.reason or (self._writer.reason if self._writer else "")
 
     def tally(self) -> Tally:
-        """Return counts of waiting, done and failed work so far."""
+        """Return counts of the work that waits and that was done so far, as of one moment; only the
+        numbers of workers change without the lock. Both are 0 without a pool.
+        """
         with self._changed:
             pool = self._pool
-            counts = self._queue.counts()
-            tasks = (
-                self._in_flight,
-                self._done_tasks,
-                self._failed_tasks,
-                self._duplicate,
-                self._healed,
+            waiting, given_up, age = self._queue.counts()
+            return Tally(
+                waiting=waiting,
+                given_up=given_up,
+                age=age,
+                in_flight=self._in_flight,
+                done=self._done_tasks,
+                failed=self._failed_chunks,
+                duplicate=self._duplicate,
+                healed=self._healed,
+                paths=self.paths,
+                workers=0 if pool is None else pool.workers,
+                deaths=0 if pool is None else pool.deaths,
+                kept=self._kept,
+                chunks=self._done_chunks,
             )
-            if pool is None:
-                workers = (0, 0)
-            else:
-                workers = (pool.workers, pool.deaths)
-            return Tally(*counts, *tasks, self.paths, *workers, self._kept, self._done_chunks)
 
     def stop(self) -> None:
         """Hand out no more tasks, write the light that is in memory, and save measured costs."""
@@ -444,15 +449,19 @@ class Baker:
         return not self._bakes[one].layers.isdisjoint(self._bakes[other].layers)
 
     def _feed(self) -> None:
-        """Hand out tasks while there is room. The caller must hold the lock."""
+        """Hand out tasks while there is room and the queue has requests that can start. The caller
+        must hold the lock.
+        """
         while self._pool is not None and self._in_flight < self._room(self._pool):
             request = self._queue.take()
             if request is None:
                 return
             self._fly(1)
-            self._submit(
-                self._pool, self._queue.take_along(request, self._pool.together, self._pool.room)
-            )
+            # Join requests up to the texels that the pool takes in one task. If little work waits,
+            # share it among all tasks that the pool can have in flight.
+            most_texels = self._pool.together
+            tasks = self._pool.room
+            self._submit(self._pool, self._queue.take_along(request, most_texels, tasks))
 
     def _fly(self, more: int) -> None:
         """Add ``more`` to the number of tasks in flight. The caller must hold the lock."""
@@ -476,15 +485,24 @@ class Baker:
         return pool.room
 
     def _submit(self, pool: "WorkerPool", requests: Sequence[BakeRequest]) -> None:
-        """Hand over requests of one bake as one task of the pool."""
+        """Hand over a BakeTask for each of the ``requests``, all to be done together: they count as
+        one task in flight. The caller must hold the lock.
+
+        There is at least one request, and all are of the same bake and goal. The pool calls
+        ``_done`` with their outcomes from another thread.
+        """
         scene = requests[0].key[0]
         bake = self._bakes[scene]
         keeps = self._writer is not None and bake.light is not None
         tasks = [self._task(bake, request, keeps) for request in requests]
         if len(tasks) == 1:
-            pool.submit(
-                tasks[0], lambda result, error: self._done(scene, bake, tasks, [result or error])
-            )
+
+            def ended(result: BakeResult | None, error: BaseException | None) -> None:
+                """Take over the outcome of the only task."""
+                outcome = error if result is None else result
+                self._done(scene, bake, tasks, [outcome])
+
+            pool.submit(tasks[0], ended)
         else:
             pool.submit_all(tasks, lambda outcomes: self._done(scene, bake, tasks, outcomes))
 
@@ -603,7 +621,7 @@ class Baker:
         again, or give it up after several failures. The caller must hold the lock.
         """
         scene, index = key
-        self._failed_tasks += 1
+        self._failed_chunks += 1
         log.warning("baking chunk %s of %s failed: %s", index, scene, error)
         # If a worker died with the task, the queue hands the chunk out alone the next time, as its
         # task may kill workers.

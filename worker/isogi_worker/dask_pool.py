@@ -77,8 +77,10 @@ worker. With these settings it takes 1 %.
 """
 
 CHECK_SECONDS = 1.0
+"""Seconds between two checks of the scheduler, and the most that closing a client may take."""
+
 REJOIN_SECONDS = 5.0
-"""Seconds between two checks of the scheduler, and seconds that a try to join it again may take."""
+"""Seconds within which the scheduler must be found when it is joined again."""
 
 SCHEDULER_AWAY = (
     "The scheduler at {scheduler} cannot be reached at the moment: baking goes on "
@@ -272,6 +274,7 @@ class DaskPool:
                 elif notified or info["n_workers"] != len(self._addresses):
                     self._list_workers()
             except Exception as error:
+                # The next check tries again.
                 log.debug("the scheduler is away: %s", error)
 
     def _end(self, key: Any) -> None:
@@ -292,10 +295,12 @@ class DaskPool:
 
     def _join_again(self) -> None:
         """Join the scheduler with a new client, as a restarted one knows neither the old client nor
-        its tasks.
+        its tasks. Do nothing if the pool is closing.
 
         A Dask client that reconnects by itself loses its subscription to events, so it is replaced,
-        too.
+        too. Closing the old client cancels its tasks: ``hand_on_result`` reports each of them by
+        WorkersAwayError, and the baker has them done again. Raises OSError if the scheduler is not
+        found within REJOIN_SECONDS.
         """
         if self._closing.is_set():
             return

@@ -74,7 +74,7 @@ class LocalWorker:
     """A worker ``process``, the server's ends of its two pipes, and the jobs it was sent, the one
     at work first.
 
-    It takes jobs once it is ``here``.
+    It is ``here`` once its first answer has come, and is sent waiting jobs from then on.
     """
 
     process: BaseProcess
@@ -113,11 +113,11 @@ class LocalPool:
         kinds: Collection[str] = PLAIN_LAYER_KINDS,
         stopped: threading.Event | None = None,
     ) -> None:
-        """Start ``workers`` processes, which load or compile the kernels of layers of these
-        ``kinds``.
+        """Start ``workers`` processes, and return once all of them run. They then load or compile
+        the kernels of layers of these ``kinds``.
 
         They inherit the environment variables of now. Raises WorkersError if they cannot be
-        started, or if ``stopped`` is set before they have come.
+        started, or if ``stopped`` is set before all of them run; those that were started are ended.
         """
         self._start = Start(dict(os.environ), worker_niceness(), tuple(kinds))
         self._number = workers
@@ -135,7 +135,7 @@ class LocalPool:
         self._woken, self._waker = multiprocessing.Pipe(duplex=False)
         try:
             start_fork_server()
-            # Start all processes, and then wait for all: they load at the same time.
+            # Start all processes before waiting for the first, so that they start at the same time.
             for _ in range(workers):
                 self._workers.append(self._begin())
             for worker in self._workers:
@@ -275,7 +275,7 @@ class LocalPool:
         """
         while self._ahead:
             self._send(*self._ahead.popleft())
-        # A worker that has not answered yet is not ready, and gets no waiting job.
+        # A worker whose first answer has not come may die before it begins: it gets no waiting job.
         while self._waiting:
             here = [worker for worker in self._workers if worker.here]
             free = min(here, key=lambda worker: len(worker.sent), default=None)
@@ -299,7 +299,7 @@ class LocalPool:
         except (EOFError, OSError):
             self._bury(worker)
             return
-        # The first answer says that the process is ready.
+        # The first answer belongs to no job: it says that the process runs and reads jobs.
         if not worker.here:
             worker.here = True
             self._workers_changed()
@@ -341,21 +341,25 @@ class LocalPool:
                 self._workers.append(started)
 
     def _begin(self) -> LocalWorker:
-        """Start a process. Raises OSError."""
+        """Start a process, and return it before its first answer has come.
+
+        Raises OSError, or EOFError if the fork server ends meanwhile.
+        """
         context: Any = multiprocessing.get_context(START_METHOD)
-        its_jobs, jobs = context.Pipe(duplex=False)
-        answers, its_answers = context.Pipe(duplex=False)
+        # The process reads jobs and writes answers; this process keeps the other two ends.
+        job_reader, job_writer = context.Pipe(duplex=False)
+        answer_reader, answer_writer = context.Pipe(duplex=False)
         process = context.Process(
-            target=run_worker, args=(its_jobs, its_answers, self._start), daemon=True
+            target=run_worker, args=(job_reader, answer_writer, self._start), daemon=True
         )
-        # The process alone keeps its ends, so that either side notices when the other is gone.
-        with its_jobs, its_answers, without_main():
+        # Close the ends of the process here once it has them: each end is then open in one process
+        # only, so that either side notices when the other is gone.
+        with job_reader, answer_writer, without_main():
             process.start()
-        return LocalWorker(process, jobs, answers)
+        return LocalWorker(process, job_writer, answer_reader)
 
     def _welcome(self, worker: LocalWorker, stopped: threading.Event) -> None:
-        """Wait until a process says that it takes jobs, which it begins once it has loaded its
-        kernels.
+        """Wait for the first answer of a process, which it sends before it loads kernels.
 
         Raises EOFError if it ends before, TimeoutError after START_SECONDS, and WorkersAwayError
         once ``stopped`` is set.

@@ -54,7 +54,8 @@ reaches the server, too, which has its workers write light before it closes thei
 def run_worker(jobs: Connection, answers: Connection, start: Start) -> None:
     """Do one job after the other until the server closes the pipe or ends.
 
-    The first answer belongs to no job: it says that the process is ready.
+    The first answer belongs to no job: it says that the process runs and reads jobs. After it, and
+    before the first job, the process loads its kernels.
     """
     # Leave Ctrl-C to the server, which also gets it, and outlive a signal to end for a while.
     signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -24,7 +24,7 @@ class Tally:
 
     - ``waiting``, ``given_up``: chunks; ``age``: seconds since the oldest request.
     - ``in_flight``, ``done``: tasks, each of one or more chunks.
-    - ``chunks``, ``failed``: chunks that were baked, and that failed.
+    - ``chunks``, ``failed``: chunks that were baked, and whose task failed, counted each time.
     - ``duplicate``, ``healed``: of the baked ones, chunks whose light was there already, and that
       were damaged.
     - ``paths``: paths traced.

@@ -222,12 +222,12 @@ class BakeQueue:
         return dropped
 
     def take(self) -> BakeRequest | None:
-        """Take the next request, and mark it as in flight; None if there is nothing to do until a
-        task has ended.
+        """Take the next request, and mark it as in flight; None if no request can start now.
 
         A suspect request, which may have killed a worker, comes last among those of its client and
-        runs alone: after it was chosen, no other starts until all tasks in flight and its task have
-        ended. So it harms no other, and if a worker dies again, the cause is known.
+        runs alone: it starts only if no task is in flight, and no other starts until its task has
+        ended. So it harms no other, and if a worker dies again, the cause is known. If it is the
+        next one while tasks are in flight, it stays in the queue, and None is returned.
         """
         self._forget()
         self._bring_back()

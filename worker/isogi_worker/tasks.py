@@ -263,16 +263,17 @@ BAKED_ELSEWHERE = BakeResult(0, 0.0, Effort(0, 0.0, 0.0), Cost(), elsewhere=True
 
 @lru_cache(maxsize=4)
 def open_store(store_url: StoreUrl) -> Store:
-    """Return the store at a URL, opened once a process with its own credentials.
+    """Return the store at a URL, opened with this process's own credentials, and kept for later
+    tasks.
 
-    The server has made it.
+    It is not made if it is missing, as the server makes it.
     """
     return Store(store_url, make=False)
 
 
 @lru_cache(maxsize=4)
 def claims_of(store_url: StoreUrl) -> Claims:
-    """Return the claims in a store, one object a process."""
+    """Return the claims in a store, kept for later tasks, as they remember other bakers."""
     return Claims(open_store(store_url))
 
 
@@ -280,22 +281,26 @@ def claims_of(store_url: StoreUrl) -> Claims:
 def prepared_scene(
     source: SceneSource, assets: Assets | None, store_url: StoreUrl
 ) -> PreparedScene:
-    """Return the prepared scene, opened once a process for all of its bakes.
+    """Return the prepared scene. This process keeps the last four for later tasks.
 
-    It is opened from memory that the server shares, from its files, or from its assets in the
-    store.
+    A scene that the server shares is mapped from the server's memory, or opened from its files if
+    that memory is gone. A scene with other assets is built from these, which the store has. Any
+    other scene is opened from its files. Raises StoreError if assets are missing or damaged.
     """
     if isinstance(assets, SharedScene):
-        # If the server has let go of the shared memory, read the scene's files instead.
-        with suppress(SharedMemoryError):
+        try:
             return receive_scene(assets, most_maps())
-        return opened(source)
+        except SharedMemoryError:
+            # The server has let go of the memory.
+            return opened(source)
     if assets is None:
         return opened(source)
-    received, volume = receive_assets(source, assets, open_store(store_url))
     store = open_store(store_url)
-    known = receive_colours(assets, store), receive_glow_bits(assets, store)
-    return PreparedScene(build_scene(received, no_progress, volume, *known), most_maps())
+    received, volume = receive_assets(source, assets, store)
+    colours = receive_colours(assets, store)
+    glow_bits = receive_glow_bits(assets, store)
+    scene = build_scene(received, no_progress, volume, colours, glow_bits)
+    return PreparedScene(scene, most_maps())
 
 
 MAP_BYTES_SHARE = 3 / 8
@@ -368,7 +373,7 @@ def open_spec(
     assets: Assets | None = None,
     shown: Isovalue | None = None,
 ) -> tuple[BakeSpec, ChunkStore]:
-    """Return a bake's spec and chunk store, opened once a process with its kernels loaded.
+    """Return a bake's spec and chunk store, with its kernels loaded; both are kept for later tasks.
 
     Raises SceneError if the scene's files are not those of ``digest``.
     """
@@ -401,7 +406,7 @@ def open_whole(
     """Return the light of the ``whole``, the scene before its volume was cut, of which the bake of
     the cut scene keeps the light that the cut does not change; None if there is none.
 
-    It is opened once a process. The other arguments describe the bake of the cut scene.
+    It is kept for later tasks. The other arguments describe the bake of the cut scene.
     """
     spec = BakeSpec(prepared_scene(whole.source, whole.assets, store_url), plan)
     cut, _ = open_spec(source, plan, digest, store_url, assets)
@@ -668,11 +673,13 @@ def sample_texels(light: Light, texels: np.ndarray, spec: BakeSpec, *tasks: Bake
 
 
 def cost_of(samples: np.ndarray, before: np.ndarray, seconds: float) -> Cost:
-    """Return the cost of a task: ``seconds`` that brought texels from ``before`` to ``samples``,
-    (m,) each.
+    """Return the cost of a task that took ``seconds`` of a processor, and brought its texels from
+    ``before`` to ``samples``, (m,) int each, negative for void texels.
 
-    Layers that are sampled together share their paths. Seconds of first light are in proportion to
-    its paths.
+    A sample of a texel counts as one path, for however many layers. A texel that had no samples and
+    has some now got first light by FIRST_LEVEL paths. The seconds of first light are the share of
+    ``seconds`` that these paths have in all paths. As a rule a task brings either first light or
+    other light, so that its share is 1 or 0: see ``bake_requests.next_until``.
     """
     taken = np.maximum(samples, 0) - np.maximum(before, 0)
     paths = int(taken.sum())

@@ -175,25 +175,31 @@ class LightWriter:
     def _settle(
         self, lit: BakeLight, fresh: Fresh, outcome: Written | BaseException | None
     ) -> bool:
-        """Note the outcome of writing one chunk; return True if another writer was found at it."""
+        """Note the outcome of writing one chunk; return True if another writer was found at it.
+
+        - A bool of either value: the chunk is written, and the store takes light; see ``Written``.
+        - StoreAwayError: writing pauses; the light stays in memory.
+        - WorkersAwayError: the light stays in memory, and is due again.
+        - Anything else: the chunk has failed. After MOST_FAILURES of these its light is dropped.
+        """
         index = fresh.chunk.index
         key = lit.like.digest, index
-        # A bool, of either value, means that the chunk is written: see ``Written``.
         if isinstance(outcome, bool):
             lit.light.written(fresh)
             self._failures.pop(key, None)
             self._recover()
-            return outcome
-        # Light stays in memory while the store or the workers are away. A chunk that fails by
-        # itself is dropped after some tries.
+            other_writer = outcome
+            return other_writer
+        if isinstance(outcome, WorkersAwayError):
+            return False
         if isinstance(outcome, StoreAwayError):
             self._pause(str(outcome))
-        elif not isinstance(outcome, WorkersAwayError):
-            self._failures[key] = self._failures.get(key, 0) + 1
-            log.warning("writing chunk %s of %s failed: %s", index, lit.name, outcome)
-            if self._failures[key] >= MOST_FAILURES:
-                lit.light.drop(index)
-                self._failures.pop(key)
+            return False
+        self._failures[key] = self._failures.get(key, 0) + 1
+        log.warning("writing chunk %s of %s failed: %s", index, lit.name, outcome)
+        if self._failures[key] >= MOST_FAILURES:
+            lit.light.drop(index)
+            self._failures.pop(key)
         return False
 
     def _pause(self, reason: str) -> None:

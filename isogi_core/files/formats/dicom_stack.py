@@ -64,7 +64,9 @@ class Stack:
 
 
 Pick = Callable[[int, str], int]
-"""Chooses one of so many fields, which are named for a person."""
+"""Function that returns the index of the chosen one of a number of fields, 0 if there is only one;
+its text names the fields in messages. Raises VolumeError if none of several is chosen.
+"""
 
 
 def stack_of(
@@ -116,19 +118,25 @@ def _normal(name: str, first: Slice) -> np.ndarray:
 def _one_time(
     name: str, slices: list[Slice], heights: np.ndarray, pick: Pick
 ) -> tuple[list[Slice], np.ndarray]:
-    """Return the slices of one time step in the order of their heights: if each place has several,
-    one is chosen.
+    """Return the slices of one time step, and their heights in mm, both in ascending order.
+
+    If several slices lie at each place, such as time steps or echoes, ``pick`` chooses one by its
+    rank in the order of their numbers. Raises VolumeError if some places have more slices than
+    others.
     """
+    # Heights that agree to a micrometre are one place. Sort by place, then by number, so that the
+    # slices of a place follow each other.
     order = sorted(
         range(len(slices)), key=lambda n: (round(float(heights[n]), 3), slices[n].number)
     )
     places, counts = np.unique(np.round(heights, 3), return_counts=True)
-    if len(set(counts.tolist())) > 1 and counts.max() > 1:
+    if len(set(counts.tolist())) > 1:
         raise VolumeError(
             f"'{name}' has {len(slices)} slices at {len(places)} places, some doubled: leave "
             "the odd ones out."
         )
     times = int(counts[0])
+    # Each place has ``times`` slices: take that of the same rank from each.
     chosen = order[pick(times, "slices at each place") :: times]
     return [slices[n] for n in chosen], heights[chosen]
 

@@ -10,7 +10,7 @@ import numpy as np
 from isogi_core.errors import VolumeError
 from isogi_core.files.coordinates import NOWHERE, SPACING_KEY, Along, Place, place_by
 from isogi_core.files.formats.source import Source, library, pick_axes, reader
-from isogi_core.files.grid import SINGLE_MOMENT, Grid, Shape, read_as, slab_layers
+from isogi_core.files.grid import Grid, Shape, read_as, slab_layers
 
 FITS_EXTRA = "'isogi[fits]'"
 
@@ -20,8 +20,10 @@ SKY = ("RA", "DEC", "GLON", "GLAT", "ELON", "ELAT")
 
 @reader("FITS", "part", "time", "channel")
 def open_fits(source: Source) -> Grid:
-    """Open an image of three dimensions or more as a grid: only headers are read now. Raises
-    VolumeError.
+    """Open an image of three axes or more as a grid. Raises VolumeError.
+
+    Only headers and one layer are read now. Axes of length one are left out. The last three of the
+    others, the fastest ones, are z, y, x; ``pick_axes`` chooses along those before.
     """
     with _image(source) as image:
         long = [n for n, length in enumerate(image.shape) if length > 1]
@@ -33,10 +35,12 @@ def open_fits(source: Source) -> Grid:
             key[axis] = element
         shape = tuple(int(image.shape[n]) for n in inner)
         source.check(shape)
+        # Read one layer for the type of its values, which follows from the scaling and from the
+        # number that marks holes.
         first = list(key)
         first[inner[0]] = slice(0, 1)
         dtype = np.asarray(image.section[tuple(first)]).dtype.newbyteorder("=")
-        stored = np.dtype(f"{'f' if image.header['BITPIX'] < 0 else 'i'}{_bytes(image.header)}")
+        stored = _stored_type(image.header)
         place = _place(image.header, [len(image.shape) - n for n in inner[::-1]], shape[::-1])
     known = read_as("FITS", stored, "its axes" if place.said and not place.notes else "")
     return Grid(
@@ -48,20 +52,29 @@ def open_fits(source: Source) -> Grid:
         place.affine,
         place.unit,
         place.notes,
-        moment if len(outer) else SINGLE_MOMENT,
+        moment,
         read_as=known,
     )
 
 
-def _bytes(header: Any) -> int:
-    """Return the bytes of a stored number."""
-    return abs(int(header["BITPIX"])) // 8
+def _stored_type(header: Any) -> np.dtype[Any]:
+    """Return the type of stored numbers. Whole numbers of 8 bits have no sign, longer ones have
+    one. Source: FITS standard 4.0, sections 5.2 and 5.3.
+    """
+    bits = int(header["BITPIX"])
+    if bits < 0:
+        letter = "f"
+    elif bits == 8:
+        letter = "u"
+    else:
+        letter = "i"
+    return np.dtype(f"{letter}{abs(bits) // 8}")
 
 
 @contextmanager
 def _image(source: Source) -> Iterator[Any]:
-    """Open the image that is chosen by its number or name; by default the only one of three axes
-    longer than one. Raises VolumeError.
+    """Open the image that is chosen by its number or name; by default the only one that has three
+    or more axes longer than one. Raises VolumeError.
     """
     fits = library("astropy.io.fits", "FITS", FITS_EXTRA)
     with source.unpacked() as file, fits.open(file, memmap=False) as units:
@@ -88,8 +101,10 @@ def _image(source: Source) -> Iterator[Any]:
 
 
 def _place(header: Any, numbers: Sequence[int], lengths: Sequence[int]) -> Place:
-    """Place voxels by the axes x, y, z of a header, which have these numbers there. Those of the
-    sky, or of units that cannot be compared, are cubes that lie as the pixels do.
+    """Place voxels by the axes x, y, z of a header; ``numbers`` are those of the three axes there,
+    from 1, and ``lengths`` their voxels.
+
+    If an axis is on the sky, or units differ, voxels are taken as cubes, and a note says so.
     """
     steps = [header.get(f"CDELT{n}", header.get(f"CD{n}_{n}")) for n in numbers]
     if any(step is None or not float(step) for step in steps):
@@ -114,8 +129,9 @@ def _place(header: Any, numbers: Sequence[int], lengths: Sequence[int]) -> Place
 def _slabs(
     source: Source, key: tuple[Any, ...], along: int, shape: Shape, dtype: np.dtype[Any]
 ) -> Iterator[np.ndarray]:
-    """Read some layers at a time, scaled, with holes for values that the header marks as
-    no number.
+    """Yield some layers at a time, (layers, ny, nx), scaled, NaN where the header marks holes.
+
+    ``key`` chooses the field in the image, and ``along`` is the place of z among its axes.
     """
     with _image(source) as image:
         step = slab_layers(shape[1] * shape[2] * dtype.itemsize)

@@ -27,9 +27,12 @@ MOST_HEADER_BYTES = 1 << 16
 
 @dataclass(frozen=True)
 class Described:
-    """Bare voxels as a header describes them: the name of the file with them, empty if they follow
-    the header, the byte at which they begin, None if they are its last; their ``shape`` (z, y, x),
-    type and spacing.
+    """Bare voxels as a header describes them.
+
+    - ``data``: name of the file that holds them, empty if that is the header's own.
+    - ``first``: byte of that file at which they begin, None if they are its last bytes.
+    - ``shape``: voxels along z, y, x; ``dtype``: type of a voxel; ``spacing``: (x, y, z).
+    - ``affine``, ``unit``: see ``Grid``.
     """
 
     data: str
@@ -122,8 +125,10 @@ def data_of(source: Source, name: str) -> Source:
 
 
 def grid_of(source: Source, kind: str, said: Described) -> Grid:
-    """Open the voxels that a header describes as a grid. Raises VolumeError if the file has too
-    few.
+    """Open the bare voxels that a header, the ``source``, of a ``kind`` describes as a grid.
+
+    Raises VolumeError if it claims too many voxels, or their file is not there. The slabs raise it
+    if that file ends before the last voxel.
     """
     source.check(said.shape)
     voxels = data_of(source, said.data) if said.data else source
@@ -132,6 +137,7 @@ def grid_of(source: Source, kind: str, said: Described) -> Grid:
     if first is None:
         with voxels.open() as file:
             first = max(file.seek(0, 2) - size, 0)
+    # ``Source.at`` returns a file with the usual limit of voxels: set that of the header.
     voxels = replace(voxels, voxels=source.voxels)
     beside = () if voxels.path in (None, source.path) else (voxels.path,)
     return Grid(

@@ -9,7 +9,7 @@ import numpy as np
 from isogi_core.bake.bake_spec import BakeSpec, band_of
 
 TYPICAL = 0.5
-"""Light that leaves a surface in the mean, over that which leaves one in unshadowed light."""
+"""Mean light that leaves a surface, as a share of that which leaves one in unshadowed light."""
 
 
 MOST_CODE = (1 << 15) - 1
@@ -17,8 +17,8 @@ MOST_CODE = (1 << 15) - 1
 
 
 NOISE_STEP = 1.0
-"""Step of ``noise_numbers``: filters know noise within a factor of √2, which changes pictures
-by 0.04 % (RMSE).
+"""Step of both ``noise_numbers``, which are logarithms to base 2: filters know noise within a
+factor of √2, which changes pictures by 0.04 % (RMSE).
 """
 
 
@@ -42,13 +42,14 @@ class Coding:
 
 
 def coding_for(spec: BakeSpec, scale: float, error: float) -> Coding:
-    """Return the coding of ``raw_numbers`` over a ``scale`` at which texels have about a relative
-    ``error``.
+    """Return the coding of ``raw_numbers`` by which rounding changes the light of a typical texel
+    by about the relative ``error``. ``scale`` is the divisor of these numbers, ``raw_scale``.
 
-    The squared error of rounding is a twelfth of the squared step. For a given number of bits
-    errors are least if each number has the same share in them. So steps are inverse to the light
-    that a number meets, in the mean over its band, as the light may turn.
+    The squared error of rounding is a twelfth of the squared step. For a given number of bits the
+    error of light is least if each number has the same share in it. So steps are inverse to the
+    light that a number is multiplied by: the root mean square of its band, as the light may turn.
     """
+    # Find the light that each number is multiplied by, in the unit of the spec.
     meets = (
         np.concatenate([band_means(term.luminance) for term in spec.terms], axis=1).ravel()
         * scale
@@ -58,6 +59,7 @@ def coding_for(spec: BakeSpec, scale: float, error: float) -> Coding:
     # Distribute the error that is allowed evenly over all numbers that meet light.
     allowed = error * TYPICAL * spec.unoccluded / spec.unit
     steps = allowed * np.sqrt(12.0 / max(int(lit.sum()), 1)) / np.where(lit, meets, np.inf)
+    # Raw numbers end with the two noise numbers.
     return Coding(np.append(steps, [NOISE_STEP, NOISE_STEP]).astype(np.float32))
 
 

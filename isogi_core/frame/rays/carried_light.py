@@ -206,8 +206,11 @@ def changes_by_pixel(rows: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 def project(view: View, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the columns and lines at which a ``view`` shows ``points`` (m, 3) of the volume's box,
-    in pixels from the upper left corner, and their distances from the eye along its direction; (m,)
-    each. Columns and lines mean nothing for points behind the eye.
+    in pixels from the upper left corner, and their depths; (m,) each.
+
+    A depth is the component of the way from the eye to the point along the viewing direction, in
+    lengths of the box; it is not positive for points behind the eye, whose columns and lines mean
+    nothing.
     """
     right, up, forward = view.camera.basis()
     offsets = points - np.array(view.camera.eye)

@@ -272,11 +272,15 @@ class Shadows:
     def _ask_about(
         self, halves: np.ndarray, turn: int, seen: np.ndarray, asked: np.ndarray
     ) -> np.ndarray:
-        """Return the pairs near ``halves`` that are in half-shadow, too, and were not ``asked``
-        yet: see ``spread_edges``.
+        """Cast rays to rims for pairs next to ``halves`` that were not ``asked`` yet; return those
+        that are in half-shadow, too.
+
+        ``halves`` are numbers of pairs in half-shadow. ``spread_edges`` chooses their neighbours by
+        the ``turn``, and marks them in ``asked``. A pair whose four neighbours are all in
+        half-shadow is so, too, and casts no rays. Results go into ``seen``.
         """
-        # Pairs that need rays come first in ``more``; those that are known to be in half-shadow by
-        # all their neighbours are at its end.
+        # Pairs that need rays come first in ``more``; those that their neighbours show to be in
+        # half-shadow are at its end.
         more = np.empty(8 * len(halves), np.int64)
         count, last = spread_edges(self.picture, self.lamps, halves, turn, seen, asked, more)
         return np.concatenate([more[last:], self._ask(more[:count], seen)])

@@ -99,8 +99,8 @@ class PixelLight:
     """Light of k surface points that was traced for them.
 
     - ``places`` (k,): rows of the points, ascending.
-    - ``estimate``: sums of REPLICAS replicas of paths. All points have the same number of paths,
-      unless their light was carried here from several views.
+    - ``estimate``: sums of REPLICAS replicas of paths. If light was carried here from other views,
+      points have different numbers of paths until those with fewer have caught up.
     - ``light`` (k, 3): linear RGB that they show, filtered.
     - ``variance`` (k,): variance of its luminance.
     - ``probes`` (k, contrasts): luminances with the distribution of its noise.
@@ -153,7 +153,7 @@ class PixelLight:
 
     @property
     def count(self) -> int:
-        """Number of paths of each replica from every point."""
+        """The largest number of paths of each replica from any point."""
         return self.estimate.most
 
     @property
@@ -370,10 +370,10 @@ class Growth:
     def next(self) -> int:
         """Paths of each replica after the next step.
 
-        Points that joined first catch up with the others. Then paths grow to the number that is
-        wanted, but at most to twice as many, so that a cancelled step loses little, and at least by
-        an eighth, so that few steps are needed. If each step is shown, points catch up in several
-        of them, and paths grow faster. The last step ends at MOST_PATHS.
+        First, points with fewer paths catch up with the others. Then paths grow to the number that
+        is wanted, but at most to twice as many, so that a cancelled step loses little, and at least
+        by an eighth, so that few steps are needed. If each step is shown, points catch up in
+        several of them, and paths grow faster. The last step ends at MOST_PATHS.
         """
         before = self.light.count
         factor = 2

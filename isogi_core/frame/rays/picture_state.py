@@ -59,17 +59,18 @@ class PictureState:
 
     @property
     def version(self) -> bytes:
-        """The name of the light that pixels have of their own: equal for equal light, empty if
-        no pixel has any.
+        """The name of the light that pixels have of their own, equal if and only if their light is;
+        empty if no pixel has any.
         """
         own = self.own
         if not len(own.places):
             return b""
         name = repr(own.count).encode() + hashlib.sha256(own.places.data).digest()
-        # Points that join catch up with the others in several steps.
+        # Points have different numbers of paths while some catch up with others (``Growth.next``).
         if own.estimate.unequal:
             name += hashlib.sha256(np.ascontiguousarray(own.estimate.counts).data).digest()
-        # Paths of the points themselves follow from these; light that was carried does not.
+        # The pixel of a point and the number of its paths determine the light traced for it.
+        # Light that was carried over was traced for pixels of other views, so its values count.
         if len(self.carried):
             name += hashlib.sha256(np.ascontiguousarray(own.light).data).digest()
         return name

@@ -102,7 +102,8 @@ class Estimate:
     """The ``sums`` (m, replicas, 3) of the light of rays, or paths, from m points; ``counts`` (m,)
     are their numbers in each replica.
 
-    Points whose noise is small take no more of them: all others have the same number, the largest.
+    The numbers differ while points with fewer catch up with the others, or if points whose noise is
+    small take no more.
     """
 
     sums: np.ndarray

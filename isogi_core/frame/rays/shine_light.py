@@ -73,11 +73,11 @@ class SeenLight:
 class ShineLight:
     """The shine of a view under a ``light``.
 
-    - ``below`` (m, 3): share of diffuse light that shine leaves.
-    - ``rays``: the first rays.
-    - ``sums``: rays that were cast since the light of texels is final.
+    - ``below`` (m, 3): share of diffuse light that stays under the shine.
+    - ``rays``: the first rays, one from each point.
+    - ``sums``: light of all later rays, which are cast once the light of texels is final.
 
-    Only the thread that holds the ``lock`` changes it.
+    Only the thread that holds the ``lock`` replaces the ``sums``.
     """
 
     light: RotatedLight
@@ -120,8 +120,8 @@ class ShineLight:
     def put(self, seen: SeenLight | None, framebuffer: Framebuffer, tiles: Tiles) -> None:
         """Add the shine to a picture of diffuse light, of which the share ``below`` stays.
 
-        It is the light of the first rays if they have ``seen`` light, else of all later rays.
-        Raises Cancelled.
+        ``seen`` is the light at the ends of the first rays, which bring the shine then; if it is
+        None, all later rays bring it, in the mean. Raises Cancelled.
         """
         if seen is None:
             brought = self._sharp(tiles)
@@ -194,8 +194,11 @@ class ViewShine(Refinement[ShineLight]):
     checks: ViewChecks
 
     def put(self, shot: Shot, framebuffer: Framebuffer) -> bytes:
-        """Add shine to the picture of a ``shot`` in diffuse light; return a name of the rays, and
-        of the light at their ends. Raises Cancelled.
+        """Add shine to the diffuse light in the picture of a ``shot``, in place, of which the share
+        ``ShineLight.below`` stays; return a name of the shine. Raises Cancelled.
+
+        The name begins with ``ShineLight.version``, which names the rays. If only the first rays
+        were cast, it goes on with the version of the light at their ends.
         """
         tiles = shot.tiles
         shine = self._begun(shot)

@@ -475,11 +475,14 @@ def _extreme(codes: np.ndarray, extreme: np.ufunc) -> np.ndarray:
 
 
 def scale_of(found: Segmentation, name: str) -> Scale:
-    """Return the labels as a table of albedos; places far from all of them have the mean of the
-    shown ones.
+    """Return the colour scale of the labels of a segmentation, with a ``name`` for its legend.
+
+    Places far from all labels have the mean albedo of the shown ones.
     """
     shown = [capped(label.colour) for label in found.labels if label.shown]
     outside: Colour = capped(np.mean(shown, axis=0).tolist())
+    # The shown label with code k has row k - 1. No place has a higher code: the mean in the other
+    # rows only keeps the table grey if all labels are grey.
     table = np.tile(outside, (VALUES, 1))
     table[: len(shown)] = shown
     values = [label.value for label in found.labels if label.shown]

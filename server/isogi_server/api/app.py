@@ -37,24 +37,20 @@ GUARDED = problems.documented_problems(401, 403, 413, 421)
 """Problems that middleware may answer for any route."""
 
 ROUTERS = (
-    *(
-        pages.router,
-        pages.health_router,
-        scenes.router,
-        scenes.sky_router,
-        frames.router,
-        points.router,
-        events.router,
-    ),
+    pages.router,
+    pages.health_router,
+    scenes.router,
+    scenes.sky_router,
+    frames.router,
+    points.router,
+    events.router,
     card.router,
-    *(
-        stream_router,
-        jobs.prewarm_router,
-        jobs.export_router,
-        jobs.router,
-        scenes.volume_router,
-        scenes.environment_router,
-    ),
+    stream_router,
+    jobs.prewarm_router,
+    jobs.export_router,
+    jobs.router,
+    scenes.volume_router,
+    scenes.environment_router,
 )
 
 ALLOWED_HEADERS = ("Authorization", "If-None-Match", "Last-Event-ID", "Prefer", "X-Request-ID")
@@ -76,6 +72,7 @@ def create_app(engine: RenderEngine, settings: Settings) -> FastAPI:
     metrics.registry.register(BakingCollector(engine))
     metrics.registry.register(JobsCollector(service.jobs))
     metrics.registry.register(StoreCollector(engine.store.calls))
+    # The bytes that are free change with each upload: functions find them when metrics are read.
     uploads = service.uploads
     metrics.registry.register(ServerCollector(lambda: uploads.quota, lambda: uploads.free))
     app = FastAPI(

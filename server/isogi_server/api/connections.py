@@ -338,8 +338,8 @@ class Connection(H11Protocol):
         self.transport.abort()
 
     def give_up(self, why: str, sentence: str) -> None:
-        """Close the connection; if a request has begun and has no answer yet, answer it with
-        408 and this ``sentence``.
+        """Close the connection, and count it by the reason ``why``. If a request has begun and has
+        no answer yet, answer it with 408 and this ``sentence`` first.
         """
         self.metrics.closed.labels(why).inc()
         answering = (
@@ -348,12 +348,11 @@ class Connection(H11Protocol):
             and not self.cycle.response_complete
         )
         self._end_cycle()
-        # Close without an answer if one is under way, or if no request has begun.
-        if (
-            answering
-            or (self.waits and not self.conn.trailing_data[0])
-            or self.conn.our_state is h11.DONE
-        ):
+        # Not a byte of a head has come.
+        unasked = self.waits and not self.conn.trailing_data[0]
+        # The request was answered before all of its body had come.
+        answered = self.conn.our_state is h11.DONE
+        if answering or unasked or answered:
             self.transport.close()
         else:
             self.refuse(408, sentence)
@@ -428,11 +427,12 @@ async def crowded(scope: Scope, receive: Receive, send: Send) -> None:
 def too_many(
     one: H11Protocol, connections: Iterable[H11Protocol], settings: Settings
 ) -> list[H11Protocol]:
-    """Return the connections that are too many: all of this client, or all there are; an empty list
-    within the limits.
+    """Return the connections among which one has to go, now that ``one`` is among
+    ``connections``: those of its client if that client has too many, else all if there are too many
+    in all, else none.
 
-    Connections of a trusted proxy belong to many clients, so that only the limit for all
-    connections holds for them.
+    Connections of a trusted proxy belong to many clients, so only the limit for all connections
+    holds for them.
     """
     everybody = list(connections)
     own = [each for each in everybody if site_at(each) == site_at(one)]

@@ -104,8 +104,9 @@ class SmallBodies:
         self.upload = upload
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass the request on. After too many bytes the route reads a disconnect, and the
-        client gets 413.
+        """Pass the request on. Once its body has too many bytes, the route reads a disconnect, and
+        the client gets 413 in place of the answer that the route begins then. An answer that has
+        begun before goes on.
         """
         if scope["type"] != "http":
             await self.app(scope, receive, send)
@@ -135,6 +136,7 @@ class SmallBodies:
         refused = False
 
         async def answer(message: Message) -> None:
+            """Send a message of the route's answer, or the refusal in place of the whole answer."""
             nonlocal refused
             if message["type"] == "http.response.start" and body.too_long:
                 refused = True

@@ -102,6 +102,7 @@ class Service:
         self.engine = engine
         self.settings = settings.answering
         self.startup = Startup(engine)
+        # Set once the prewarms that the last server left open were looked for: see ``resume``.
         self.resumed = asyncio.Event()
         self.connections = AdmissionLimit(settings.streams, "streams are open")
         self.updates: UpdateBus
@@ -143,8 +144,10 @@ class Service:
         await asyncio.to_thread(self.engine.close)
 
     def job(self, key: str) -> Job:
-        """Return the job with this id. Raises UnknownJobError, but StartingError while jobs of
-        the last server may still be resumed.
+        """Return the job with this id.
+
+        Raises UnknownJobError if there is none, but StartingError while prewarms of the last server
+        may still be resumed, as these keep their ids.
         """
         try:
             return self.jobs.find(key)
@@ -565,12 +568,13 @@ takes up to 150 bytes a pixel.
 """
 
 SENT_PIXELS = 1 << 18
-"""Pixels above which pictures that are encoded while they are sent (npy) wait for their turn."""
+"""Pixels above which a picture that is encoded while it is sent (npy) waits for a place."""
 
 SENT_PICTURES = 8
+"""Most pictures of SENT_PIXELS up to LARGE_PICTURE_PIXELS that are sent as npy at once."""
+
 SENT_LARGE_PICTURES = 2
-"""Number of such pictures that are sent at once: up to LARGE_PICTURE_PIXELS, and larger ones.
-"""
+"""Most pictures of more than LARGE_PICTURE_PIXELS that are sent as npy at once."""
 
 ASKING = 2
 """Threads that request light. They wait for each other at the lock of the bake queue, and no
@@ -626,8 +630,9 @@ class RenderThreads:
         return Entered()
 
     def sending(self, view: View) -> Room | None:
-        """Return the places for pictures of this size that are encoded while they are sent; None
-        if the picture is small.
+        """Return the room in which the picture of a view takes a place while it is sent, if it is
+        encoded meanwhile (npy); None if it is so small that it needs no place. No place is taken
+        here.
         """
         pixels = view.width * view.height
         if pixels > LARGE_PICTURE_PIXELS:

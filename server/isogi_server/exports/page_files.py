@@ -71,14 +71,18 @@ def digest_of(content: bytes) -> str:
 
 def viewer_files() -> dict[str, PageFile]:
     """Return the files of the server's page by their addresses, ``index.html`` included.
-    Changed files are read again.
+
+    They are read again if one has changed since the last call. A file that was added meanwhile is
+    left out until the server restarts.
     """
     return prepared(tuple((name, stamp_of(WEB_FOLDER / name)) for name in names_of(WEB_FOLDER)))
 
 
 @lru_cache(maxsize=1)
 def names_of(folder: Path) -> tuple[str, ...]:
-    """Return the files of a folder that browsers may ask for, by relative path."""
+    """Return the relative paths of the files of a folder that browsers may ask for, as they were
+    at the first call.
+    """
     found = (path for path in folder.rglob("*") if path.suffix in SUFFIXES)
     return tuple(sorted(path.relative_to(folder).as_posix() for path in found))
 
@@ -91,7 +95,11 @@ def stamp_of(path: Path) -> tuple[int, int]:
 
 @lru_cache(maxsize=1)
 def prepared(stamps: tuple[tuple[str, tuple[int, int]], ...]) -> dict[str, PageFile]:
-    """Return the files of ``viewer_files``; ``stamps`` are the key of the cache."""
+    """Return the files of the server's page by their addresses, ``index.html`` included.
+
+    ``stamps`` are pairs of the relative path of a file to read and its ``stamp_of``. The result of
+    the last call is kept, and returned again for equal stamps.
+    """
     files = {f"web/{name}": file_of(name, (WEB_FOLDER / name).read_bytes()) for name, _ in stamps}
     files[f"web/{SHADERS}"] = file_of(SHADERS, json.dumps(shaders()).encode())
     page = (WEB_FOLDER / "index.html").read_text(encoding="utf-8")
@@ -102,10 +110,11 @@ def prepared(stamps: tuple[tuple[str, tuple[int, int]], ...]) -> dict[str, PageF
     script_name = f"web/page-{digest_of(script)}.js"
     files[style_name] = file_of(style_name, style, lasting=True)
     files[script_name] = file_of(script_name, script, lasting=True)
-    # The page names these in place of the files that they are joined from.
+    # The page names these in place of the files that they are joined from. The first link becomes
+    # that of the joined style sheet; then all other links are removed.
     link = f'  <link rel="stylesheet" href="{style_name}">\n'
     page = STYLE_LINK.sub(link, page, count=1)
-    page = STYLE_LINK.sub(lambda found: found[0] if found[0] == link else "", page)
+    page = STYLE_LINK.sub(lambda found: link if found[0] == link else "", page)
     page = SCRIPT.sub(script_name, page)
     files["index.html"] = file_of("index.html", page.encode())
     return files

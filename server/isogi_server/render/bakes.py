@@ -100,17 +100,16 @@ BACKGROUND_VIEWER = Viewer("background", patient=True)
 
 
 class BackgroundBake:
-    """Light that is baked while no frame waits for it: the demands of a ``stage`` in the bake
-    of this name.
-    """
+    """Light of the chunks that a stage of a picture demands, baked while no frame waits for it."""
 
     def __init__(
         self, baker: Baker, bake: str, stage: Stage, viewer: Viewer = BACKGROUND_VIEWER
     ) -> None:
-        """Request the light from the ``baker``, for a ``viewer``; ``bake`` is the name of the bake.
+        """Request the light that a ``stage`` demands from the ``baker``, for a ``viewer``. ``bake``
+        is the name by which the baker knows the bake.
 
-        ``coming`` are the chunks that will be baked, or were baked since the view was drawn; chunks
-        that were given up are not among them.
+        ``coming`` are those of the demanded ``chunks`` that will be baked, or were baked since the
+        view was drawn: no chunk that was given up, and none of a bake that was dropped.
         """
         self._baker = baker
         self._viewer = viewer

@@ -378,7 +378,8 @@ class RenderEngine:
             return None
         moving = replace(picture.view, moving=True)
         for view in (moving, picture.view):
-            # With this goal a view at rest is not checked, and reads texels in any case.
+            # A goal without ``samples`` asks for MAX_SAMPLES: a view at rest is then not checked,
+            # so that it reads texels in any case, and those of the scene, never finer ones.
             frame = self.survey(picture.scene, view, Goal(picture.goal.error))
             for stage in frame.stages:
                 unlit = tuple(demand for demand in stage.demands if demand.effort.unlit)
@@ -427,16 +428,19 @@ class RenderEngine:
         return self.bake_at(scene, spec, stage, frame.quality.fineness), stage
 
     def bake_at(self, scene: str, spec: str, stage: Stage, fineness: int = 0) -> str:
-        """Return the name of the bake by a ``spec`` that a ``stage`` belongs to, with texels
-        finer by ``fineness`` steps; add the bake if it is new.
+        """Return the name of the bake that bakes a ``stage`` of the light of a scene by a ``spec``
+        ("gi" or "vicinity"), with texels finer by ``fineness`` steps; add the bake if it is new.
         """
-        # Light of one side of a surface has a separate bake, and so have finer and projected
-        # texels. All other light belongs to the bake of the scene, and so does that of a scene that
-        # was dismissed: its bakes are forgotten, so nothing is baked for it.
+        # Light of one side of a surface has a separate bake.
         if stage.caches is not None and scene in self.scenes:
             return self._side_bakes.side(scene, spec, stage, self._share)
+        # Light of texels that are neither finer nor projected belongs to the bake of the scene. So
+        # does any of a dismissed scene: its bakes are forgotten, so nothing is baked for it.
         if scene not in self.scenes or (stage.shown is None and not fineness):
             return bake_name(scene, spec)
+        # Each isosurface of projected texels, and each grid of finer texels, has a separate bake.
+        # They are of the spec "gi" alone: vicinity shading projects no texels and asks for no finer
+        # ones.
         loaded = self._find(scene).level(fineness)
         arrived = partial(self._arrived, scene, fineness)
         make = partial(make_bake, loaded.renderer.caches, "gi", loaded.assets, arrived, stage.shown)

@@ -34,8 +34,11 @@ that wait for the picture ask many times a second.
 
 @dataclass(frozen=True)
 class Picture:
-    """A view of a scene whose total error is to reach a ``goal``. ``cancelled`` is set once
-    no viewer wants it. Steps are taken from the time ``due`` on, in seconds of the steady clock.
+    """A view of a scene whose total error is to reach a ``goal``. Pictures are equal if these three
+    are equal.
+
+    ``cancelled`` is set once no viewer wants the picture. Steps are taken from the time ``due`` on,
+    in seconds of the steady clock.
     """
 
     scene: str
@@ -76,8 +79,8 @@ class PictureChecks:
         failed a moment ago. It replaces the picture that the viewer looked at before, whose step is
         cancelled.
 
-        If the same picture is asked for again, it keeps the earlier time, and a step of it that is
-        running goes on. If too many pictures wait, the oldest request is dropped.
+        If an equal picture is asked for again, the earlier of the two times holds, and a step of it
+        that is running goes on. If too many pictures wait, the oldest request is dropped.
         """
         with self._changed:
             now = time.monotonic()
@@ -86,6 +89,7 @@ class PictureChecks:
             self._failed = {each: until for each, until in self._failed.items() if until > now}
             if (until := self._failed.get(picture)) is not None:
                 picture = replace(picture, due=max(picture.due, until))
+            # Keep an equal picture that is due no later, as is each one whose step is running.
             former = self._wanted.get(viewer)
             if self._closed or (former and former == picture and former.due <= picture.due):
                 return

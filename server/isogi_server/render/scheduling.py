@@ -114,8 +114,9 @@ class FairSemaphore:
         the rank gives up before.
         """
         client = rank.client
-        # A client that comes from rest starts level with the one that is served now: it has saved
-        # nothing up. One that left the queue without a place keeps the rank it had.
+        # A client that comes from rest starts level with the one served now, as it has saved
+        # nothing up. One that left the queue without a place still has its ``claim``, which only
+        # ``_paid`` clears, and so the rank it had.
         if not client.claim and not client.open:
             self._clock.join(client)
         client.claim = True
@@ -133,7 +134,7 @@ class FairSemaphore:
     @property
     def crowded(self) -> bool:
         """Return True if any work waits."""
-        return any(not place.done() for _, place in self._waiting)
+        return any(not granted.done() for _, granted in self._waiting)
 
     def at_rest(self, client: Client) -> bool:
         """Return True if a client neither waits nor works, and is not ahead of the clock."""
@@ -170,24 +171,24 @@ class FairSemaphore:
 
     async def _wait(self, rank: Rank) -> None:
         """Wait until this rank gets a place. Raises BusyError if it gives up before."""
-        place: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        self._waiting.append((rank, place))
+        granted: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._waiting.append((rank, granted))
         self._pass_on()
         try:
             async with asyncio.timeout_at(None if math.isinf(rank.until) else rank.until):
-                await place
+                await granted
         except asyncio.CancelledError:
-            self._leave(place)
+            self._leave(granted)
             raise
         except TimeoutError:
-            self._leave(place)
+            self._leave(granted)
             raise BusyError(self._late) from None
 
-    def _leave(self, place: "asyncio.Future[None]") -> None:
-        """Give a place back if it was granted at the moment that its work gave up or was
+    def _leave(self, granted: "asyncio.Future[None]") -> None:
+        """Give a place back if it was ``granted`` at the moment that its work gave up or was
         cancelled.
         """
-        if place.done() and not place.cancelled():
+        if granted.done() and not granted.cancelled():
             self._give_back()
 
     def _give_back(self) -> None:
@@ -198,14 +199,14 @@ class FairSemaphore:
     def _pass_on(self) -> None:
         """Grant free places to waiting work, the lowest ``Rank.order`` first."""
         # Drop work that was cancelled, or gave up, while it waited.
-        self._waiting = [(rank, place) for rank, place in self._waiting if not place.done()]
+        self._waiting = [(rank, granted) for rank, granted in self._waiting if not granted.done()]
         # If other work must run first, grant a single place, and only if none is taken.
         while self._waiting and self._free and (self._free == self._places or not self._pressed()):
             first = min(self._waiting, key=lambda each: each[0].order)
             self._waiting.remove(first)
             self._free -= 1
-            _, place = first
-            place.set_result(None)
+            _, granted = first
+            granted.set_result(None)
 
 
 class Room(FairSemaphore):

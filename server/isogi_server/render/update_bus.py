@@ -64,8 +64,9 @@ class UpdateBus:
     def __init__(self) -> None:
         self._loop = asyncio.get_running_loop()
         self._count = 0
-        # Of each chunk: the number of its newest update, and whether more follow; the oldest first.
-        # Updates with numbers up to ``_chunks_forgotten_to`` may be forgotten; bakes likewise.
+        # Of each chunk: the number of its newest update, and True if more follow; the oldest first.
+        # Too old entries are forgotten, all of them with numbers up to ``_chunks_forgotten_to``. A
+        # chunk without an entry counts as updated at that number. The same holds for bakes.
         self._newest_of_chunk: OrderedDict[tuple[str, Index], tuple[int, bool]] = OrderedDict()
         self._chunks_forgotten_to = 0
         self._newest_of_bake: OrderedDict[str, int] = OrderedDict()

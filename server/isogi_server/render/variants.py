@@ -42,13 +42,13 @@ MAX_VARIANTS = 64
 """Variants of an engine at a time: the ones asked for last."""
 
 MOST_CUTS = 4
-"""Variants that are cut, smoothed or hide labels, at a time, if their voxels need more memory
-than there is.
+"""Variants that are cut, smoothed or hide labels, at a time, if their voxels take more memory
+than is set aside for them (``room`` of Variants).
 """
 
 MOST_STEPS = 2
-"""Time steps other than their scene's, of all variants at a time, if their voxels need more
-memory than there is.
+"""Time steps other than their scene's, of all variants at a time, if all voxels of variants take
+more memory than is set aside for them (``room`` of Variants).
 """
 
 MOST_TURNS = 8
@@ -84,9 +84,9 @@ class Variants:
         """Make none yet; ``place`` finds environments.
 
         ``most`` variants are kept; the engine dismisses those asked for longest ago, and makes them
-        again if it needs them. Voxels of cuts, and of time steps, may take ``room`` bytes, by
-        default MOST_CUTS times the memory that one volume may take; above that ``most_cuts``
-        variants with changed voxels are kept.
+        again if it needs them. Voxels of variants may take ``room`` bytes, by default MOST_CUTS
+        times the size of the largest volume that is not mapped to a file. Above that, ``most_cuts``
+        variants that are cut, smoothed or hide labels are kept, and those of MOST_STEPS time steps.
 
         Variants are made one at a time, so that each finds the voxels that an earlier one has
         computed and shares them. Clients take turns, and a request waits for its turn for at most
@@ -242,7 +242,7 @@ class Variants:
         """
         with self._lock:
             asked = {each: self._engine.variant(each) for each in self._asked}
-            # If voxels of cuts need too much memory, keep the newest cuts.
+            # If voxels of cuts take more than their room, keep the newest cuts.
             cuts = [each for each in asked if asked[each].has_voxels]
             if self._crowded(cuts):
                 old = cuts[: max(len(cuts) - self._most_cuts, 0)]
@@ -251,7 +251,7 @@ class Variants:
             # Keep the newest turns of the light.
             turned = [each for each in asked if asked[each].turn is not None and each not in old]
             old += turned[: max(len(turned) - MOST_TURNS, 0)]
-            # If voxels of all need too much memory, keep the variants of the newest time steps.
+            # If those of all take more, keep the variants of the newest time steps.
             steps = {
                 (each.base, each.time): None
                 for each in reversed(asked.values())
@@ -271,8 +271,9 @@ class Variants:
         return old
 
     def _crowded(self, names: Iterable[str]) -> bool:
-        """Return True if the voxels of these variants need more memory than there is; voxels of
-        the scenes themselves do not count.
+        """Return True if the voxels of the variants with these ``names`` (ids) take more than
+        ``_room`` bytes together. Voxels that variants share count once; those that they share with
+        a scene that is no variant do not count, as they stay in memory without the variants, too.
         """
         scenes = self._engine.scenes
         volumes = [scenes[each].volume for each in names if each in scenes]

@@ -307,6 +307,17 @@ def test_cubes_of_fits(tmp_path: Path) -> None:
     assert "cubes, as its axes are RA---TAN" in open_file(tmp_path / "sky.fits", {}).notes[0]
 
 
+def test_bytes_of_fits_have_no_sign(tmp_path: Path) -> None:
+    pytest.importorskip("astropy")
+    head = cards(SIMPLE=True, BITPIX=8, NAXIS=3, NAXIS1=NX, NAXIS2=NY, NAXIS3=NZ)
+    data = (F % 256).astype(np.uint8)
+    content = head + data.tobytes() + bytes(-data.size % 2880)
+    (tmp_path / "f.fits").write_bytes(content)
+    grid = open_file(tmp_path / "f.fits", {})
+    assert data.max() > 127 and grid.read_as.startswith("FITS of uint8;")
+    np.testing.assert_array_equal(grid.whole(), data)
+
+
 def test_fits_without_a_cube_is_named(tmp_path: Path) -> None:
     pytest.importorskip("astropy")
     head = cards(SIMPLE=True, BITPIX=16, NAXIS=2, NAXIS1=NX, NAXIS2=NY)

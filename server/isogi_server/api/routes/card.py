@@ -176,8 +176,9 @@ async def read_voxels(
 async def read_colours(
     request: Request, scene: SceneDep, layers: str, params: VoxelParamsDep, service: ServiceDep
 ) -> Response:
-    """Return the codes of colours by data in some layers along z, x fastest. The document of the
-    card says what codes stand for.
+    """Return the codes of colours by data in some layers along z, place by place, x fastest: a byte
+    for each place, or three if the colours are of labels. The document of the card says what codes
+    stand for.
     """
     shown = await open_scene(request, service, scene, params)
 
@@ -185,6 +186,7 @@ async def read_colours(
         found = ColourCodes.of(shown)
         if found is None:
             raise UnknownPartError("This scene has no colours by data.")
+        # The codes of all places: (nz, ny, nx), or (nz, ny, nx, 3) for labels.
         depth = len(found.colours.places)
         first, last = layers_of(layers, depth, max(b - a for a, b in found.slabs))
         body = found.layers(first, last).tobytes()

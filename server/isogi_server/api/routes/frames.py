@@ -287,19 +287,20 @@ AWAY = 1.0
 
 
 async def complete(service: Service, picture: PictureRequest, job: Job) -> Frame:
-    """Return the frame of a picture once it is final or lacks no more light; a path-traced one is
-    as good as its samples.
+    """Return the frame of a picture once it is final or lacks no more light. A path-traced picture
+    lacks none, and is returned as it is drawn first.
 
-    The ``job`` reports progress. The bake yields to people; what is left of it when this ends, as
-    by cancelling, is dropped.
-    While the store cannot be reached, it waits. Raises WorkersError if some light cannot be baked,
-    and StoreError.
+    The ``job`` reports progress. The bake yields to people; if light is still requested when this
+    ends, as by cancelling, the request is dropped. While the store cannot be reached, this waits.
+    Raises WorkersError if some light cannot be baked, and StoreError.
     """
     viewer = background_viewer()
-    bake = service.engine.bake_of(picture.scene, picture.view)
+    # Finer and projected texels, and those of one side of a surface, have separate bakes. Their
+    # light is reported under the bake that the view reads: see ``RenderEngine.listen``.
+    reported_bake = service.engine.bake_of(picture.scene, picture.view)
     try:
         while True:
-            since = service.updates.newest(bake)
+            since = service.updates.newest(reported_bake)
             try:
                 frame = await service.frame(
                     picture, service.rank(viewer, REFINEMENT_PATIENCE), Stopwatch()
@@ -319,15 +320,17 @@ async def complete(service: Service, picture: PictureRequest, job: Job) -> Frame
                 await service.check(picture)
                 continue
             # Have the next stage of light baked, and draw the picture again.
-            lacking, stage = await asyncio.to_thread(service.engine.lacking, picture.scene, frame)
+            lacking_bake, stage = await asyncio.to_thread(
+                service.engine.lacking, picture.scene, frame
+            )
             if not stage.demands:
                 return frame
-            baking = await asyncio.to_thread(service.engine.bake, lacking, stage, viewer)
+            baking = await asyncio.to_thread(service.engine.bake, lacking_bake, stage, viewer)
             needed = frame.chunks_needed
             del frame, stage  # Free megabytes while light is baked.
             if not baking.coming:
                 raise WorkersError(service.reason())
-            await follow(service, bake, baking, needed, since, job)
+            await follow(service, reported_bake, baking, needed, since, job)
     finally:
         service.leave(viewer)
 
@@ -338,7 +341,7 @@ async def follow(
     """Return when a background bake is done. The ``job`` reports the share of the ``needed`` chunks
     that are baked.
 
-    Updates of the ``bake`` that the view reads count from number ``since`` on.
+    Its updates are reported under the name ``bake``; those with numbers above ``since`` count.
     """
     with service.updates.pending(bake, baking.coming, since) as pending:
         while not pending.all.is_set() and (waiting := await asyncio.to_thread(baking.waiting)):
