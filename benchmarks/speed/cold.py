@@ -235,7 +235,8 @@ class ColdRace:
             answer = server.client.get(f"{server.path}/frame", params=asked).raise_for_status()
             seen.wall = time.perf_counter() - begun
             picture = np.load(BytesIO(answer.content))
-            seen.pictures.append((seen.wall, picture[..., :3]))
+            if not seen.pictures or not np.array_equal(seen.pictures[-1][1], picture[..., :3]):
+                seen.pictures.append((seen.wall, picture[..., :3].copy()))
             if not (picture[..., 4] == 1).any():
                 seen.lit = min(seen.lit, seen.wall)
             if answer.headers["isogi-provisional"] == "?0":

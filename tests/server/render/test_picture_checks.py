@@ -28,6 +28,7 @@ class Steps:
         self.most = most
         self.broken = math.nan
         self.taken: list[float] = []
+        self.cancelled: list[float] = []
         self.told: list[tuple[float, bool]] = []
         self.go = threading.Semaphore(0)
         self.begun = threading.Semaphore(0)
@@ -39,6 +40,7 @@ class Steps:
         self.begun.release()
         assert self.go.acquire(timeout=LONG)
         if cancelled.is_set():
+            self.cancelled.append(view.isovalue)
             raise Cancelled("Nobody waits for it.")
         if view.isovalue == self.broken:
             raise ZeroDivisionError
@@ -136,6 +138,28 @@ def test_no_more_than_so_many_pictures_wait(steps: Steps) -> None:
     steps.end(MAX_WAITING_PICTURES + 1)
     assert len(steps.taken) == MAX_WAITING_PICTURES + 1
     assert min(steps.taken[1:]) == 1.0 + 5, "those asked for first are dropped"
+
+
+def test_a_long_step_outlives_a_crowd_that_asks_for_it(steps: Steps) -> None:
+    steps.ask(0.1)
+    assert steps.begun.acquire(timeout=LONG)
+    # A script that waits for its picture asks again and again, as another viewer each time.
+    for visit in range(1000):
+        steps.ask(0.1, Viewer("script", 10 + visit))
+    steps.end(1)
+    assert steps.told == [(0.1, False)]
+    assert not steps.cancelled
+
+
+def test_a_step_ends_once_the_last_viewer_leaves(steps: Steps) -> None:
+    steps.ask(0.1)
+    assert steps.begun.acquire(timeout=LONG)
+    steps.ask(0.1, OTHER)
+    steps.checks.leave(ONE)
+    steps.checks.leave(ONE)
+    steps.ask(0.2, OTHER)
+    steps.end(2)
+    assert steps.taken == [0.1, 0.2] and steps.cancelled == [0.1]
 
 
 def test_a_picture_waits_for_the_rest_of_its_light(steps: Steps) -> None:
