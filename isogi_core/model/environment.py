@@ -21,7 +21,15 @@ from functools import cached_property
 import numpy as np
 
 from isogi_core.files.vector import Vector
-from isogi_core.kernels.transport.lights import AREA, DIRECTIONAL, POINT, LampArrays, project_lamps
+from isogi_core.kernels.transport.lights import (
+    AREA,
+    DIRECTIONAL,
+    NO_TABLE,
+    POINT,
+    BrightTable,
+    LampArrays,
+    project_lamps,
+)
 from isogi_core.model.lights import (
     ENVIRONMENTS,
     AreaLight,
@@ -433,18 +441,17 @@ class Environment:
         return float((shares * seen**2).sum()) > (1.0 + SHARP_VARIANCE) * mean**2
 
     @cached_property
-    def table(self) -> tuple[np.ndarray, np.ndarray]:
-        """Table for sampling directions, see ``cumulative``; two empty arrays if the environment is
-        not ``sharp``.
+    def table(self) -> BrightTable:
+        """Table for sampling directions; NO_TABLE if the environment is not ``sharp``.
 
         Only light above the mean is sampled by the table; the rest is left to cosine sampling at
         the surface. Source: Karlík et al., "MIS Compensation", ACM Transactions on Graphics 38(6),
         2019.
         """
         if not self.sharp:
-            return np.zeros(0), np.zeros((0, 0))
+            return NO_TABLE
         excess = np.maximum(self._luminance - self.mean() @ LUMINANCE_WEIGHTS, 0.0)
-        return cumulative(excess * solid_angles(*excess.shape))
+        return bright_table(self.constant + self.image, excess)
 
     @cached_property
     def overview(self) -> np.ndarray:
@@ -531,12 +538,34 @@ def moved_columns(image: np.ndarray, columns: float) -> np.ndarray:
     return np.asarray((1.0 - part) * left + part * np.roll(left, -1, axis=1))
 
 
+def bright_table(radiance: np.ndarray, excess: np.ndarray) -> BrightTable:
+    """Return the table that samples directions to pixels of ``radiance`` (h, w, 3) by their
+    ``excess`` (h, w) over the light that other techniques sample: the density per steradian is in
+    proportion to it.
+    """
+    height, width = excess.shape
+    # A pixel is drawn in proportion to its excess times its solid angle.
+    weights = excess * solid_angles(height, width)
+    rows, columns = cumulative(weights)
+    density = excess / weights.sum()
+    pixels = np.concatenate([radiance, density[..., None]], axis=2).astype(np.float32)
+    heights = np.cos(np.arange(height + 1) * (np.pi / height))
+    guides = np.array([guide_of(row) for row in columns])
+    return BrightTable(rows, columns, guide_of(rows), guides, heights, pixels)
+
+
+def guide_of(shares: np.ndarray) -> np.ndarray:
+    """Return the intervals of cumulative ``shares`` (n + 1,) in which 0, 1/n, …, 1 lie; (n + 1,)
+    int32. See ``kernels.transport.sampling.find_interval``.
+    """
+    count = len(shares) - 1
+    found = np.searchsorted(shares, np.arange(count + 1) / count, side="right") - 1
+    return np.minimum(found, count - 1).astype(np.int32)
+
+
 def cumulative(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return cumulative shares of pixel ``weights`` (h, w): over the rows (h + 1,), and within each
-    row (h, w + 1); float64.
-
-    ``kernels.transport.sampling.sample_piecewise_2d`` takes them. A row without weight is even, and
-    never sampled.
+    row (h, w + 1); float64. A row without weight is even.
     """
     # Sum the rows, and the pixels within each; both are normalised to end at 1.
     rows = weights.sum(axis=1)

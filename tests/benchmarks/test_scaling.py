@@ -159,6 +159,7 @@ def test_cluster() -> None:
     assert "round 1 of 1" in done.stderr
 
 
+@pytest.mark.long
 def test_a_volume_beyond_the_budget_is_rendered_and_served(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -73,6 +73,7 @@ def test_fuzz() -> None:
     assert found["problems"] > 20
 
 
+@pytest.mark.long
 def test_malformed() -> None:
     found = figures(malformed, "--files", "6")
     assert found["files"] == 6 and found["server alive"] is True

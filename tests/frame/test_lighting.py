@@ -152,12 +152,10 @@ def test_surroundings_have_the_environments_table_and_lamps() -> None:
     turned = around([SKY, LAMP])
     scene = turned.spec.prepared.scene
     assert turned.surroundings.table is scene.lighting.environment.table
-    assert turned.surroundings.table[0].shape == (513,) and turned.surroundings.table[1].shape == (
-        512,
-        1025,
-    )
+    assert turned.surroundings.table.rows.shape == (513,)
+    assert turned.surroundings.table.columns.shape == (512, 1025)
     assert turned.surroundings.lamps is scene.lighting.lamps.arrays
-    assert around([CONSTANT]).surroundings.table[0].shape == (0,)
+    assert around([CONSTANT]).surroundings.table.rows.shape == (0,)
 
 
 @pytest.mark.parametrize("direction", [(0.0, 0.6, 0.8), (-0.6, 0.8, 0.0), (0.0, 0.0, -1.0)])

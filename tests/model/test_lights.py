@@ -325,13 +325,13 @@ def table_of(image: np.ndarray) -> tuple[bool, np.ndarray, np.ndarray]:
     by solid angle.
     """
     light = replace(assemble_environment([]), image=image.astype(np.float32))
-    marginal, conditional = light.table
+    table = light.table
     excess = np.maximum(
         light.image @ LUMINANCE_WEIGHTS - light.mean() @ LUMINANCE_WEIGHTS, 0.0
     ) * solid_angles(*image.shape[:2])
     return (
         light.sharp,
-        np.diff(marginal)[:, None] * np.diff(conditional, axis=1),
+        np.diff(table.rows)[:, None] * np.diff(table.columns, axis=1),
         excess / max(excess.sum(), 1e-300),
     )
 

@@ -206,7 +206,7 @@ def gather_sent(world, levels, light, vertex, carried, draws, bounce):
     on, side, o, n = vertex
     total = np.zeros(3)
     last = 1 + light.lamps.kinds.shape[0] + world.room.areas.shape[0]
-    for source in range(0 if light.table[0].shape[0] > 0 else 1, last):
+    for source in range(0 if light.table.rows.shape[0] > 0 else 1, last):
         w, reach, shine = draw_source(world, light, source, on, o, n, draws, bounce)
         if max(shine[0], shine[1], shine[2]) > 0.0:
             found = crossings(world, levels, on, side, o, to_index(w, world.field.spacing))

@@ -248,16 +248,16 @@ def aimed(scene: Scene, sharp: bool) -> Scene:
 @pytest.mark.slow
 def test_soft_light_leaves_out_shadow_rays_and_their_table(frame_of: Frames, lobe: Lobe) -> None:
     scene = in_bowl(lights=[lobe(1.0)], rotating=False)
-    assert not scene.lighting.environment.table[0].size
+    assert not scene.lighting.environment.table.rows.size
     kept = aimed(scene, True)
-    assert kept.lighting.environment.table[0].size
+    assert kept.lighting.environment.table.rows.size
     assert apart(frame_of(scene, 256), frame_of(kept, 256)) < TARGET / 3
 
 
 @pytest.mark.slow
 def test_shadow_rays_and_their_table_are_kept_under_the_sun(frame_of: Frames) -> None:
     scene = in_bowl(lights=[SUN], rotating=False)
-    assert scene.lighting.environment.table[0].size
+    assert scene.lighting.environment.table.rows.size
     best = frame_of(scene, 1024)
     assert (
         apart(frame_of(scene, 256), best) < TARGET < apart(frame_of(aimed(scene, False), 256), best)

@@ -130,7 +130,7 @@ def lights_of(light: RotatedLight, ways: int) -> ShineLights:
     lamps = LampArrays(kinds[sharp], places[sharp], edges[sharp], colours[sharp])
     far = Discs(places[discs], edges[discs], colours[discs] / squares)
     # If there is no light to aim at, all candidates are alike, and one is enough.
-    if not (len(around.table[0]) or len(panels.corners) or len(far.towards)):
+    if not (len(around.table.rows) or len(panels.corners) or len(far.towards)):
         ways = 1
     # Rays that end on a surface are expected to bring the mean radiance of the environment.
     ambient = max(float(light.mean @ LUMINANCE_WEIGHTS), 1e-30)

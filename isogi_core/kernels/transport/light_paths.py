@@ -3,13 +3,15 @@
 import math
 from typing import Any, NamedTuple
 
-import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import REAL_ROWS, Choice, kernel, record
+from isogi_core.kernels.simd.maths import u32
+from isogi_core.kernels.simd.memory import load
+from isogi_core.kernels.simd.types import PATH_WIDTH
 from isogi_core.kernels.tracing.active_cells import ACTIVE_CELLS
 from isogi_core.kernels.tracing.field import FIELD_RECORD, to_index
-from isogi_core.kernels.tracing.vec import column, dot, put_column
+from isogi_core.kernels.tracing.vec import column, dot, put_column, store_columns
 from isogi_core.kernels.transport.integrator import (
     add_carried,
     add_paths,
@@ -28,10 +30,13 @@ from isogi_core.kernels.transport.integrator import (
     partition,
 )
 from isogi_core.kernels.transport.lights import (
+    BRIGHT_TABLE,
     LAMPS,
     NO_LAMPS,
     NO_LIGHT,
+    NO_TABLE,
     arriving,
+    balanced_light,
     draw_bright,
     illuminate,
 )
@@ -120,8 +125,6 @@ def advance_by_weights(scene, state, vertices, following, bounce, rules):
 NO_START = (math.inf, math.inf, math.inf)
 """Origin of rays that are to hit nothing."""
 
-NO_TABLE = (np.zeros(0), np.zeros((0, 0)))
-
 
 class Surroundings(NamedTuple):
     """All light that falls on a scene.
@@ -143,7 +146,7 @@ SURROUNDINGS_RECORD = record(
     types.float64[::1],
     types.float32[:, :, ::1],
     types.float64[:, ::1],
-    types.Tuple((types.float64[::1], types.float64[:, ::1])),
+    BRIGHT_TABLE,
     LAMPS,
 )
 
@@ -163,11 +166,11 @@ def sample_source(light, source, p, n, u, v):
     """
     if source > 0:
         return illuminate(light.lamps, source - 1, p, n, u, v)
-    w = draw_bright(light.table, light.matrix, u, v)
+    w, row, column = draw_bright(light.table, light.matrix, u, v)
     cosine = dot(n, w)
     if not cosine > 0.0:
         return w, math.inf, NO_LIGHT
-    return w, math.inf, arriving(light.constant, light.image, light.matrix, light.table, w, cosine)
+    return w, math.inf, balanced_light(light.table, row, column, cosine)
 
 
 @kernel()
@@ -184,13 +187,18 @@ def aim_shadow_rays(wave, vertices, bounce, light, source, spacing):
     lights = columns(shadow.light, count)
     directions = columns(rays.directions, count)
     directions[:, count:] = 1.0
-    # Each source and bounce draws from a different dimension.
-    dimension = np.uint64(FIRST_SOURCE_PAIR + source * PAIRS_PER_PURPOSE + bounce)
-    for i in range(count):
-        low = np.uint64(rays.low[i])
-        high = np.uint64(rays.high[i])
-        sample = np.uint64(rays.samples[i])
+    # Draw the random numbers of all rays first, in vectors; they wait where the light of the rays
+    # comes. Each source and bounce draws from a different dimension.
+    dimension = u32(FIRST_SOURCE_PAIR + source * PAIRS_PER_PURPOSE + bounce)
+    for i in range(0, count, PATH_WIDTH):
+        low = load(rays.low, i, PATH_WIDTH)
+        high = load(rays.high, i, PATH_WIDTH)
+        sample = load(rays.samples, i, PATH_WIDTH)
         u, v = point_of_words(low, high, sample, dimension)
+        store_columns(lights, i, (u, v, u))
+    for i in range(count):
+        u = lights[0, i]
+        v = lights[1, i]
         o = column(origins, i)
         w, shadow.reach[i], shine = sample_source(
             light, source, to_world(o, spacing), column(normals, i), u, v
@@ -223,7 +231,7 @@ def gather_from_outside(scene, state, vertices, bounce, light):
     """Add the light that lamps and bright parts of the environment send
     to the vertices of a wave.
     """
-    first = 0 if light.table[0].shape[0] > 0 else 1
+    first = 0 if light.table.rows.shape[0] > 0 else 1
     for source in range(first, 1 + light.lamps.kinds.shape[0]):
         aim_shadow_rays(state.wave, vertices, bounce, light, source, scene.field.spacing)
         add_sent(scene, state, vertices, bounce)

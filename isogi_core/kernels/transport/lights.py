@@ -12,13 +12,12 @@ from isogi_core.kernels._jit import REAL_ROWS, kernel, record
 from isogi_core.kernels.tracing.vec import SMALLEST_NORMAL, cross, dot, length, madd, scale, sub
 from isogi_core.kernels.transport.harmonics import accumulate, evaluate
 from isogi_core.kernels.transport.sampling import (
+    cosine_and_sine_of_turn,
     cosine_hemisphere_pdf,
     direction_to_latlong,
-    latlong_jacobian,
-    latlong_to_direction,
-    piecewise_2d_pdf,
+    find_interval,
     sample_disc,
-    sample_piecewise_2d,
+    share_of_interval,
 )
 
 
@@ -47,12 +46,22 @@ def turn(matrix, d):
 
 
 @kernel()
-def glow(constant, image, row, column):
-    """Return the linear RGB radiance of a constant plus image (h, w, 3) at ``row`` and
-    ``column`` in [0, 1).
+def pixel_towards(image, matrix, w):
+    """Return the row and the column of the pixel of a lat-long ``image`` (h, w, channels), turned
+    by ``matrix``, that lies in world direction ``w``.
     """
+    row, column = direction_to_latlong(turn_back(matrix, w))
     y = min(int(row * image.shape[0]), image.shape[0] - 1)
     x = min(int(column * image.shape[1]), image.shape[1] - 1)
+    return y, x
+
+
+@kernel()
+def radiance(constant, image, matrix, w):
+    """Return the linear RGB radiance from world direction ``w`` of a ``constant`` plus an ``image``
+    (h, w, 3), which is turned by ``matrix``.
+    """
+    y, x = pixel_towards(image, matrix, w)
     return (
         constant[0] + image[y, x, 0],
         constant[1] + image[y, x, 1],
@@ -60,39 +69,84 @@ def glow(constant, image, row, column):
     )
 
 
-@kernel()
-def radiance(constant, image, matrix, w):
-    """Return the linear RGB radiance from world direction ``w``;
-    ``image`` (h, w, 3) is turned by ``matrix``.
+class BrightTable(NamedTuple):
+    """Samples directions to the bright pixels of an environment of h × w pixels; all arrays are
+    empty if that does not pay.
+
+    - ``rows`` (h + 1,), ``columns`` (h, w + 1): cumulative shares of the rows, and of the pixels
+      within each row, from 0 to 1; float64.
+    - ``row_guide`` (h + 1,), ``column_guide`` (h, w + 1): their guides, see ``find_interval``;
+      int32.
+    - ``heights`` (h + 1,): z at the borders of the rows, from 1 to -1.
+    - ``pixels`` (h, w, 4) float32: radiance of all light from each pixel, linear RGB, and the
+      density per steradian of the directions to it.
     """
-    row, column = direction_to_latlong(turn_back(matrix, w))
-    return glow(constant, image, row, column)
+
+    rows: Any
+    columns: Any
+    row_guide: Any
+    column_guide: Any
+    heights: Any
+    pixels: Any
+
+
+NO_TABLE = BrightTable(
+    np.zeros(0),
+    np.zeros((0, 0)),
+    np.zeros(0, np.int32),
+    np.zeros((0, 0), np.int32),
+    np.zeros(0),
+    np.zeros((0, 0, 4), np.float32),
+)
+BRIGHT_TABLE = record(
+    BrightTable,
+    types.float64[::1],
+    types.float64[:, ::1],
+    types.int32[::1],
+    types.int32[:, ::1],
+    types.float64[::1],
+    types.float32[:, :, ::1],
+)
 
 
 @kernel()
 def draw_bright(table, matrix, u, v):
-    """Sample a world direction in proportion to a turned environment's image by (u, v) in [0, 1)².
+    """Sample a world direction to a bright pixel by (u, v) in [0, 1)²; return it with the row and
+    the column of the pixel.
 
-    ``table`` holds the two cumulative arrays of ``sample_piecewise_2d``.
+    Directions to one pixel are uniform over its solid angle, so that their density is the same all
+    over it. The pixel is found by inversion; source: pbrt, section A.5.6.
     """
-    row, column = sample_piecewise_2d(table[0], table[1], u, v)
-    return turn(matrix, latlong_to_direction(row, column))
+    # Find the pixel, and the place of (u, v) within it.
+    i = find_interval(table.rows, table.row_guide, u)
+    j = find_interval(table.columns[i], table.column_guide[i], v)
+    a = share_of_interval(table.rows, i, u)
+    b = share_of_interval(table.columns[i], j, v)
+    # Equal differences in z are equal solid angles (Archimedes).
+    z = table.heights[i] + a * (table.heights[i + 1] - table.heights[i])
+    radius = math.sqrt(max(1.0 - z * z, 0.0))
+    cosine, sine = cosine_and_sine_of_turn((j + b) / (table.columns.shape[1] - 1))
+    return turn(matrix, (radius * cosine, radius * sine, z)), i, j
 
 
 @kernel()
-def balance_image(table, row, column, cosine):
-    """Return the weight p_c/(p_c + p_e) of a direction that cosine sampling and ``draw_bright`` may
-    draw.
+def pixel_radiance(table, y, x):
+    """Return the linear RGB radiance of the pixel in row ``y`` and column ``x`` of a ``table``."""
+    return table.pixels[y, x, 0], table.pixels[y, x, 1], table.pixels[y, x, 2]
 
-    ``row`` and ``column`` are its place in the image. p_c is the density of cosine sampling, p_e
-    that of ``draw_bright``. A ray of either technique adds this part of the radiance to E/π.
-    Source: Veach and Guibas 1995, balance heuristic.
+
+@kernel()
+def balanced_light(table, y, x, cosine):
+    """Return the contribution to E/π of a ray at ``cosine`` to the normal towards the pixel in row
+    ``y`` and column ``x`` of a ``table``, linear RGB.
+
+    It is the radiance times p_c/(p_c + p_e), as cosine sampling, of density p_c, and
+    ``draw_bright``, of density p_e, may both draw the direction. Source: Veach and Guibas 1995,
+    balance heuristic.
     """
-    drawn = piecewise_2d_pdf(table[0], table[1], row, column) / max(
-        latlong_jacobian(row), SMALLEST_NORMAL
-    )
     by_cosine = cosine_hemisphere_pdf(cosine)
-    return by_cosine / max(by_cosine + drawn, SMALLEST_NORMAL)
+    weight = by_cosine / max(by_cosine + table.pixels[y, x, 3], SMALLEST_NORMAL)
+    return scale(pixel_radiance(table, y, x), weight)
 
 
 @kernel()
@@ -100,13 +154,12 @@ def arriving(constant, image, matrix, table, w, cosine):
     """Return the contribution to E/π of the environment in world direction ``w``, at ``cosine`` to
     the normal.
 
-    It is the radiance, times its weight by ``balance_image`` if ``table`` is not empty.
+    It is the radiance, weighted as in ``balanced_light`` if ``table`` is not empty.
     """
-    row, column = direction_to_latlong(turn_back(matrix, w))
-    light = glow(constant, image, row, column)
-    if table[0].shape[0] > 0:
-        return scale(light, balance_image(table, row, column, cosine))
-    return light
+    if table.rows.shape[0] > 0:
+        y, x = pixel_towards(table.pixels, matrix, w)
+        return balanced_light(table, y, x, cosine)
+    return radiance(constant, image, matrix, w)
 
 
 @kernel()

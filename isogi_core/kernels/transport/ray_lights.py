@@ -23,14 +23,10 @@ from isogi_core.kernels.transport.lights import (
     NO_LIGHT,
     draw_bright,
     draw_from_disc,
-    glow,
+    pixel_radiance,
+    pixel_towards,
+    radiance,
     row,
-    turn_back,
-)
-from isogi_core.kernels.transport.sampling import (
-    direction_to_latlong,
-    latlong_jacobian,
-    piecewise_2d_pdf,
 )
 
 
@@ -119,7 +115,7 @@ def disc_met(discs, k, w):
 @kernel()
 def count_lights(lights):
     """Return the number of lights that rays may be aimed at."""
-    if lights.around.table[0].shape[0] > 0:
+    if lights.around.table.rows.shape[0] > 0:
         bright = 1
     else:
         bright = 0
@@ -132,9 +128,9 @@ def draw_light(lights, which, p, a, b):
     around = lights.around
     panels = lights.panels
     # Lights are numbered: the bright environment if there is one, then panels, then discs.
-    bright = 1 if around.table[0].shape[0] > 0 else 0
+    bright = 1 if around.table.rows.shape[0] > 0 else 0
     if which < bright:
-        return draw_bright(around.table, around.matrix, a, b)
+        return draw_bright(around.table, around.matrix, a, b)[0]
     k = which - bright
     if k < panels.corners.shape[0]:
         edges = panels.edges[k]
@@ -154,12 +150,13 @@ def expect_along(lights, p, w):
     panels = lights.panels
     discs = lights.discs
     # Add the environment, with its density if it is sampled.
-    height, width = direction_to_latlong(turn_back(around.matrix, w))
-    (r, g, b) = glow(around.constant, around.image, height, width)
     total = 0.0
-    if around.table[0].shape[0] > 0:
-        drawn = piecewise_2d_pdf(around.table[0], around.table[1], height, width)
-        total += drawn / max(latlong_jacobian(height), SMALLEST_NORMAL)
+    if around.table.rows.shape[0] > 0:
+        y, x = pixel_towards(around.table.pixels, around.matrix, w)
+        (r, g, b) = pixel_radiance(around.table, y, x)
+        total += around.table.pixels[y, x, 3]
+    else:
+        (r, g, b) = radiance(around.constant, around.image, around.matrix, w)
     # Add the panels and discs that the ray would meet.
     for k in range(panels.corners.shape[0]):
         t, density = panel_met(panels, k, p, w)

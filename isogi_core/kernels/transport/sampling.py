@@ -47,6 +47,19 @@ def cosine_and_sine(angle):
     return cosine, angle + angle * square * polynomial(SINE, square)
 
 
+@kernel()
+def cosine_and_sine_of_turn(part):
+    """Return (cos, sin) of an angle that is this ``part``, in [0, 1], of a full turn."""
+    # Reduce to an eighth of a turn to either side of the nearest quarter.
+    quarter = int(4.0 * part + 0.5)
+    cosine, sine = cosine_and_sine(2.0 * math.pi * (part - 0.25 * quarter))
+    if quarter & 1:
+        cosine, sine = -sine, cosine
+    if quarter & 2:
+        cosine, sine = -cosine, -sine
+    return cosine, sine
+
+
 @kernel(exact=True)
 def sample_disc(u, v):
     """Return a point (x, y) of the unit disc, uniform, from (u, v) in [0, 1)²; the map keeps strata
@@ -172,31 +185,18 @@ def direction_to_latlong(d):
 
 
 @kernel()
-def latlong_to_direction(row, column):
-    """Return the unit direction at fractions (row, column)
-    of a lat-long image's height and width.
+def find_interval(cdf, guide, u):
+    """Return the last i ≤ n - 1 with cdf[i] ≤ u, for u in [0, 1); an interval of width 0 is never
+    found.
+
+    ``cdf`` (n + 1,) are cumulative shares from 0 to 1. ``guide`` (n + 1,) are the intervals of u =
+    0, 1/n, …, 1: few steps lead from one of them to the next. Source: Chen and Asau, "On Generating
+    Random Variates from an Empirical Distribution", 1974.
     """
-    theta = math.pi * row
-    phi = 2.0 * math.pi * column
-    return math.sin(theta) * math.cos(phi), math.sin(theta) * math.sin(phi), math.cos(theta)
-
-
-@kernel()
-def latlong_jacobian(row):
-    """Return the steradians per unit of lat-long area, dω/(d row · d column) = 2π² sin(π row).
-
-    A density over the image, divided by this, is a density per steradian.
-    """
-    return 2.0 * math.pi * math.pi * math.sin(math.pi * row)
-
-
-@kernel()
-def find_interval(cdf, u):
-    """Return the last i ≤ len(cdf) - 2 with cdf[i] ≤ u, by bisection; an interval of width 0 is
-    never found for u < 1.
-    """
-    low = 0
-    high = cdf.shape[0] - 1
+    parts = guide.shape[0] - 1
+    part = min(int(u * parts), parts - 1)
+    low = guide[part]
+    high = guide[part + 1] + 1
     while high - low > 1:
         middle = (low + high) // 2
         if cdf[middle] <= u:
@@ -207,58 +207,12 @@ def find_interval(cdf, u):
 
 
 @kernel()
-def sample_piecewise_2d(marginal_cdf, conditional_cdf, u, v):
-    """Return a place (row, column) in [0, 1)² from a density that is constant on each of h × w
-    pixels, by inversion of (u, v).
-
-    ``marginal_cdf`` (h + 1,) runs from 0 to 1 over the rows, ``conditional_cdf`` (h, w + 1) from 0
-    to 1 over the columns of each row; both float64. Pixels of weight 0 are never sampled. Source:
-    pbrt, section A.5.6.
-    """
-    i = find_interval(marginal_cdf, u)
-    j = find_interval(conditional_cdf[i], v)
-    return _place(marginal_cdf, i, u), _place(conditional_cdf[i], j, v)
-
-
-@kernel()
-def _place(cdf, i, u):
-    """Return the place in [0, 1) at which the cdf, linear in interval i, has the value u."""
-    count = cdf.shape[0] - 1
+def share_of_interval(cdf, i, u):
+    """Return the place of u in interval i of the ``cdf``, from 0 at its beginning to 1."""
     width = cdf[i + 1] - cdf[i]
     if width > 0.0:
-        inside = (u - cdf[i]) / width
-    else:
-        inside = 0.5
-    return min((i + inside) / count, BELOW_ONE)
-
-
-@kernel()
-def piecewise_2d_pdf(marginal_cdf, conditional_cdf, row, column):
-    """Return the density of ``sample_piecewise_2d`` at (row, column), per unit area of the
-    square; it integrates to 1.
-    """
-    rows = conditional_cdf.shape[0]
-    columns = conditional_cdf.shape[1] - 1
-    i, j = min(int(row * rows), rows - 1), min(int(column * columns), columns - 1)
-    rise = marginal_cdf[i + 1] - marginal_cdf[i]
-    return rise * rows * (conditional_cdf[i, j + 1] - conditional_cdf[i, j]) * columns
-
-
-@kernel()
-def invert_piecewise_2d(marginal_cdf, conditional_cdf, row, column):
-    """Return the (u, v) that ``sample_piecewise_2d`` maps to (row, column)."""
-    rows = conditional_cdf.shape[0]
-    return _height(marginal_cdf, row), _height(
-        conditional_cdf[min(int(row * rows), rows - 1)], column
-    )
-
-
-@kernel()
-def _height(cdf, place):
-    """Return the value of the piecewise linear cdf at a place in [0, 1]."""
-    count = cdf.shape[0] - 1
-    i = min(int(place * count), count - 1)
-    return cdf[i] + (place * count - i) * (cdf[i + 1] - cdf[i])
+        return max((u - cdf[i]) / width, 0.0)
+    return 0.5
 
 
 @kernel()

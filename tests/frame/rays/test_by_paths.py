@@ -174,11 +174,11 @@ def test_steps_grow_from_few_paths() -> None:
     """The first is short; points that joined late catch up in several steps."""
     choice = all_points(2, 0.05, 0.02, 1.0, 0.5)
     growth = Growth(choice, PixelLight.none(), shown=True)
-    assert growth.next == 4
+    assert growth.next == 8
     known = replace(PixelLight.none(), places=np.arange(2), variance=np.full(2, 1.0))
-    for counts, expected in (([4, 60], 16), ([16, 60], 60), ([4, 4], 16)):
+    for counts, expected in (([8, 60], 32), ([32, 60], 60), ([8, 8], 32)):
         estimate = replace(
-            PixelLight.none().estimate, sums=np.zeros((2, 4, 3)), counts=np.array(counts)
+            PixelLight.none().estimate, sums=np.zeros((2, 2, 3)), counts=np.array(counts)
         )
         light = replace(known, estimate=estimate)
         assert Growth(choice, light, shown=True).next == expected

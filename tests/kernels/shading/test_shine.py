@@ -17,11 +17,17 @@ from isogi_core.kernels.shading.shine import (
     light_ends,
 )
 from isogi_core.kernels.shading.surface_points import SurfacePoints, pool_noise
-from isogi_core.kernels.transport.light_paths import NO_TABLE, Surroundings
-from isogi_core.kernels.transport.lights import DIRECTIONAL, NO_LAMPS, POINT, LampArrays
+from isogi_core.kernels.transport.light_paths import Surroundings
+from isogi_core.kernels.transport.lights import (
+    DIRECTIONAL,
+    NO_LAMPS,
+    NO_TABLE,
+    POINT,
+    LampArrays,
+)
 from isogi_core.kernels.transport.microfacets import ENERGY_STEPS, ShineLobe, fill_energy
 from isogi_core.kernels.transport.ray_lights import Discs, Panels, ShineLights
-from isogi_core.model.environment import cumulative, pixel_directions, solid_angles
+from isogi_core.model.environment import bright_table, pixel_directions, solid_angles
 from tests.kernels.fields import field_of, surface_of
 from tests.kernels.rooms import box, room_of, wall
 from tests.scale import few
@@ -121,7 +127,7 @@ def test_a_bright_image_is_integrated_over_the_lobe(ground, roughness):
     row = int(math.acos(mirror[2]) / math.pi * 16)
     image[row, int((math.atan2(mirror[1], mirror[0]) / (2.0 * math.pi) % 1.0) * 32)] = 50.0
     image[3, 3] = 20.0
-    table = cumulative(np.maximum(image[..., 0] - image[..., 0].mean(), 0.0) * solid_angles(16, 32))
+    table = bright_table(image, np.maximum(image[..., 0] - image[..., 0].mean(), 0.0))
     around = Surroundings(np.zeros(3), image, np.eye(3), table)
     lobe = lobe_of(roughness)
     fine = few(64, 24)
@@ -144,7 +150,7 @@ def test_a_bright_image_is_integrated_over_the_lobe(ground, roughness):
 def test_choosing_among_ways_takes_noise_away(ground):
     image = np.full((16, 32, 3), 0.1, np.float32)
     image[3:5, 3:5] = 50.0
-    table = cumulative(np.maximum(image[..., 0] - image[..., 0].mean(), 0.0) * solid_angles(16, 32))
+    table = bright_table(image, np.maximum(image[..., 0] - image[..., 0].mean(), 0.0))
     around = Surroundings(np.zeros(3), image, np.eye(3), table)
     spread = [
         cast(ground, lobe_of(0.6), lights_of(around, ways=ways)).brought[:, 0].std()

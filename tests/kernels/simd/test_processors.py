@@ -26,7 +26,8 @@ PROCESSORS = {
 
 @pytest.mark.slow
 @COMPILED
-@pytest.mark.parametrize("processor", [pytest.param("haswell", marks=pytest.mark.long), "nehalem"])
+@pytest.mark.long
+@pytest.mark.parametrize("processor", ["haswell", "nehalem"])
 def test_all_of_it_again_for_other_processors(processor: str) -> None:
     """Eight lanes and rays by AVX2, four lanes without it."""
     told, tests = PROCESSORS[processor]

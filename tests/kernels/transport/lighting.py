@@ -10,7 +10,7 @@ from isogi_core.kernels.transport.light_paths import Open, Surroundings, light_i
 from isogi_core.kernels.transport.lights import AREA, DIRECTIONAL, NO_LAMPS, POINT, LampArrays
 from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
 from isogi_core.kernels.transport.transfer import bake_irradiance, locate_texels, texel_seed
-from isogi_core.model.environment import cumulative, pixel_directions, solid_angles
+from isogi_core.model.environment import bright_table, pixel_directions
 from tests.kernels.fields import cells_of
 
 Z, Y, X = np.mgrid[:41, :41, :41] - 20.0
@@ -42,7 +42,7 @@ def surroundings(image=DARK, constant=0.0, table=False, lamps=NO_LAMPS, matrix=N
     if not table:
         return light
     bright = np.maximum(image.sum(axis=2) - image.sum(axis=2).mean(), 0.0)
-    return light._replace(table=cumulative(bright * solid_angles(*image.shape[:2])))
+    return light._replace(table=bright_table(image + light.constant, bright))
 
 
 def gather(field, place, light, weights, samples, sums=None):

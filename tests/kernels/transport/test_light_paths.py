@@ -11,7 +11,7 @@ from isogi_core.kernels.transport.integrator import WAVE_PATHS
 from isogi_core.kernels.transport.lights import POINT
 from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
 from isogi_core.kernels.transport.rng import mix
-from isogi_core.model.environment import cumulative, pixel_directions, solid_angles
+from isogi_core.model.environment import bright_table, pixel_directions, solid_angles
 from tests.kernels.fields import field_of, surface_of
 from tests.kernels.transport.lighting import (
     BALL,
@@ -92,7 +92,9 @@ def test_furnace(table):
     image = np.ones((8, 16, 3), np.float32)
     light = surroundings(image)
     if table:
-        light = light._replace(table=cumulative(np.random.default_rng(2).random((8, 16)) ** 4))
+        light = light._replace(
+            table=bright_table(image, np.random.default_rng(2).random((8, 16)) ** 4)
+        )
     count = few(4096, 40)
     found = gather(field_of(PLANE), place_at(MIDDLE, UP), light, np.ones((2, 3)), count // 2).mean(
         axis=1

@@ -7,6 +7,7 @@ import pytest
 from numba import njit
 
 from isogi_core.kernels.transport import rng, sampling
+from isogi_core.model.environment import guide_of
 from tests.kernels.transport.chi2 import ChiSquare
 from tests.scale import few
 
@@ -114,85 +115,6 @@ def test_uniform_sphere_follows_its_density(uniforms):
     ChiSquare(np.stack([z, azimuth(x, y)], axis=1), density, SPHERE).check(tests=10)
 
 
-def tables(weights):
-    """Cumulative tables (h + 1,) and (h, w + 1) of pixel weights, as `sample_piecewise_2d` wants
-    them.
-    """
-    rows = weights.sum(axis=1)
-    conditional = np.cumsum(weights / np.where(rows > 0.0, rows, 1.0)[:, None], axis=1)
-    conditional[:, -1] = 1.0
-    marginal = np.append(0.0, np.cumsum(rows) / rows.sum())
-    marginal[-1] = 1.0
-    return marginal, np.pad(conditional, ((0, 0), (1, 0)))
-
-
-@pytest.fixture(scope="module")
-def image():
-    """Weights of 8 × 12 pixels: one is 10⁴ times the rest, some are 0, so are one whole row and its
-    end.
-    """
-    weights = np.random.default_rng(5).random((8, 12))
-    weights[2, 3:7] = weights[5] = weights[:, -1] = weights[0, 0] = weights[-1] = 0.0
-    weights[4, 4] = 100.0
-    return tables(weights)
-
-
-@njit
-def draw(marginal, conditional, points):
-    """sample_piecewise_2d over rows of (u, v)."""
-    out = np.empty_like(points)
-    for i in range(len(points)):
-        out[i] = np.array(
-            sampling.sample_piecewise_2d(marginal, conditional, points[i, 0], points[i, 1])
-        )
-    return out
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("bright", [100.0, 1.0])
-def test_piecewise_follows_its_density(uniforms, bright):
-    weights = np.random.default_rng(5).random((8, 12))
-    weights[2, 3:7] = weights[5] = weights[:, -1] = weights[0, 0] = 0.0
-    weights[4, 4] = bright
-    marginal, conditional = tables(weights)
-    density = np.vectorize(lambda s, t: sampling.piecewise_2d_pdf(marginal, conditional, s, t))
-    test = ChiSquare(draw(marginal, conditional, uniforms), density, cells=(32, 48))
-    assert (test.observed()[test.expected() == 0.0] == 0).all()
-    test.check(tests=10)
-
-
-def test_piecewise_pdf_is_weight_over_mean(image):
-    """At pixel centres the density is the pixel's share times the number of pixels."""
-    marginal, conditional = image
-    shares = np.diff(marginal)[:, None] * np.diff(conditional, axis=1)
-    for i, j in np.ndindex(8, 12):
-        density = sampling.piecewise_2d_pdf(marginal, conditional, (i + 0.5) / 8, (j + 0.5) / 12)
-        assert density == pytest.approx(shares[i, j] * 96, rel=1e-12, abs=1e-15)
-
-
-def test_piecewise_stays_in_the_square_on_pixels_of_weight(image):
-    marginal, conditional = image
-    for u in [*EDGES, *marginal[:-1]]:
-        for v in [*EDGES, *conditional[0, :-1]]:
-            if u < 1.0 and v < 1.0:
-                row, column = sampling.sample_piecewise_2d(marginal, conditional, u, v)
-                assert 0.0 <= row < 1.0 and 0.0 <= column < 1.0
-                assert sampling.piecewise_2d_pdf(marginal, conditional, row, column) > 0.0
-
-
-def test_piecewise_inverts(image):
-    for u, v in squares(6, FEW):
-        place = sampling.sample_piecewise_2d(*image, u, v)
-        np.testing.assert_allclose(sampling.invert_piecewise_2d(*image, *place), (u, v), atol=1e-12)
-
-
-def test_find_interval_is_searchsorted():
-    cdf = np.array([0.0, 0.0, 0.25, 0.25, 0.25, 0.75, 1.0, 1.0])
-    for u in [0.0, 0.1, 0.25, 0.5, 0.75, 0.99]:
-        assert sampling.find_interval(cdf, u) == np.searchsorted(cdf, u, side="right") - 1
-    assert sampling.find_interval(cdf, 1.0) == 6
-
-
 def test_disc_inverts():
     for u, v in [*squares(7, FEW), *((u, v) for u in EDGES for v in EDGES)]:
         x, y = sampling.sample_disc(u, v)
@@ -224,6 +146,13 @@ def test_uniform_sphere_inverts():
     assert sampling.sample_uniform_sphere(0.0, 0.3) == (0.0, 0.0, 1.0)
 
 
+def test_cosines_and_sines_of_parts_of_a_turn():
+    for part in [*np.linspace(0.0, 1.0, 97), *squares(13, FEW)[:, 0], 1.0 - 2.0**-53]:
+        found = sampling.cosine_and_sine_of_turn(part)
+        expected = math.cos(2.0 * math.pi * part), math.sin(2.0 * math.pi * part)
+        np.testing.assert_allclose(found, expected, atol=1e-15)
+
+
 def test_latlong_conventions():
     """Row 0 is +z; column 0 starts at azimuth 0 (+x) and azimuth grows, by +y, with the column."""
     expected = {
@@ -236,7 +165,6 @@ def test_latlong_conventions():
     }
     for direction, place in expected.items():
         assert sampling.direction_to_latlong(direction) == pytest.approx(place, abs=1e-15)
-        np.testing.assert_allclose(sampling.latlong_to_direction(*place), direction, atol=2e-16)
 
 
 def test_latlong_column_stays_below_one():
@@ -246,21 +174,32 @@ def test_latlong_column_stays_below_one():
 
 
 def test_latlong_inverts():
+    """Directions by the definition of the image go back to their places."""
     for row, column in squares(10, FEW):
-        back = sampling.direction_to_latlong(sampling.latlong_to_direction(row, column))
-        np.testing.assert_allclose(back, (row, column), atol=1e-12)
-    for d in AXES:
+        theta, phi = math.pi * row, 2.0 * math.pi * column
+        direction = (
+            math.sin(theta) * math.cos(phi),
+            math.sin(theta) * math.sin(phi),
+            math.cos(theta),
+        )
         np.testing.assert_allclose(
-            sampling.latlong_to_direction(*sampling.direction_to_latlong(d)), d, atol=3e-16
+            sampling.direction_to_latlong(direction), (row, column), atol=1e-12
         )
 
 
-def test_latlong_jacobian_is_the_area_of_a_small_patch():
-    h = 1e-4
-    for row, column in squares(11, 50):
-        corner, right, down = (
-            np.array(sampling.latlong_to_direction(r, c))
-            for r, c in ((row, column), (row, column + h), (row + h, column))
-        )
-        area = np.linalg.norm(np.cross(right - corner, down - corner)) / h**2
-        assert sampling.latlong_jacobian(row) == pytest.approx(area, rel=1e-3, abs=5e-3)
+@pytest.mark.parametrize("count", [1, 3, 7, 64, 500])
+def test_intervals_are_those_of_a_search(count):
+    """With and without intervals of width 0, at the borders and between them."""
+    for share in (0.0, 0.5, 0.95):
+        random = np.random.default_rng(count)
+        weights = np.where(random.random(count) < share, 0.0, random.random(count) ** 8)
+        weights[random.integers(count)] = 1.0
+        cdf = np.append(0.0, weights.cumsum()) / weights.cumsum()[-1]
+        guide = guide_of(cdf)
+        borders = np.concatenate([cdf, np.nextafter(cdf, 0.0), np.nextafter(cdf, 1.0)])
+        for u in [*borders, *random.random(200), 1.0 - 2.0**-53]:
+            if 0.0 <= u < 1.0:
+                found = sampling.find_interval(cdf, guide, u)
+                assert found == np.searchsorted(cdf, u, side="right") - 1
+                assert 0.0 <= sampling.share_of_interval(cdf, found, u) <= 1.0
+                assert weights[found] > 0.0

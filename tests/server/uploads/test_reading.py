@@ -50,6 +50,7 @@ def test_the_largest_upload_is_read_within_a_gigabyte(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_the_largest_probe_is_read_within_a_gigabyte(tmp_path: Path) -> None:
     row = np.random.default_rng(1).random((1, 8192, 3))
     head = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 4096 +X 8192\n"

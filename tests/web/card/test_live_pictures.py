@@ -149,13 +149,10 @@ def share_that_differs(found: dict[str, Any]) -> tuple[float, int]:
     return float((apart > ROUNDED).mean()), len(apart)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("server", "shading"),
-    [
-        *(pytest.param("plain", shading, marks=pytest.mark.long) for shading in SHADINGS),
-        ("coloured", "gi"),
-        pytest.param("coloured", "phong", marks=pytest.mark.long),
-    ],
+    [*(("plain", shading) for shading in SHADINGS), ("coloured", "gi"), ("coloured", "phong")],
     indirect=["server"],
 )
 def test_a_resting_card_shows_what_the_server_does(

@@ -161,7 +161,13 @@ def test_the_page_shows_isogis_picture(page: Page, site: Site, first: np.ndarray
 
 
 @pytest.mark.parametrize(
-    ("knob", "value"), [("isovalue", 0.014), ("yaw", 120.0), ("azimuth", 100.0), ("pitch", -40.0)]
+    ("knob", "value"),
+    [
+        ("isovalue", 0.014),
+        ("azimuth", 100.0),
+        pytest.param("yaw", 120.0, marks=pytest.mark.long),
+        pytest.param("pitch", -40.0, marks=pytest.mark.long),
+    ],
 )
 def test_what_slides_is_drawn_without_a_request(
     page: Page, site: Site, first: np.ndarray, tmp_path: Path, knob: str, value: float

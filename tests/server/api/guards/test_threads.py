@@ -17,6 +17,7 @@ MOST_THREADS = 64
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_cuts_over_an_object_store_share_their_threads(small_scene: Path, s3: S3Server) -> None:
     """Each cut is a scene with layers of its own, and its slider moves."""
     (low, *_), (high, *_) = load_scene(small_scene).volume.world_bounds
