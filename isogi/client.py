@@ -525,7 +525,7 @@ class Bar:
 @dataclass(frozen=True)
 class Event:
     """An event of a view: its ``kind`` (refined, progress, final or failed),
-    its document ``data``, and an ``id`` that names the frame's light.
+    its document ``data``, and an ``id`` that names the frame's light and state.
     """
 
     kind: str

@@ -113,8 +113,12 @@ class Journal:
             document = json.loads((self.folder / f"{key}.json").read_text(encoding="utf-8"))
             if document["code"] != self.code:
                 return None
-            # An entry counts only if its pixels can be read, too.
-            with np.load(io.BytesIO((self.folder / f"{key}.npz").read_bytes())) as arrays:
+            # An entry counts only if its own pixels can be read, too. Others may be beside it, if a
+            # process ended while it wrote another entry.
+            data = (self.folder / f"{key}.npz").read_bytes()
+            if document["pixels"] != digest_of(data):
+                return None
+            with np.load(io.BytesIO(data)) as arrays:
                 pixels = [arrays[f"arr_{i}"] for i in range(len(document["section"]["pictures"]))]
             return Entry(section_of(document["section"], pixels), document["seconds"])
         except ENTRY_DAMAGE:
@@ -122,14 +126,16 @@ class Journal:
 
     def keep(self, key: str, entry: Entry) -> None:
         """Write a section to the journal."""
-        pixels = io.BytesIO()
-        np.savez_compressed(pixels, *(picture.pixels for picture in entry.section.pictures))
-        # Write the pixels first: ``find`` needs the JSON file, and refuses one of other code. If
-        # the process ends in between, it finds no section, and not one without its pixels.
-        write_whole(self.folder / f"{key}.npz", pixels.getvalue())
+        file = io.BytesIO()
+        np.savez_compressed(file, *(picture.pixels for picture in entry.section.pictures))
+        pixels = file.getvalue()
+        # Write the pixels first: ``find`` needs the JSON file, and refuses one of other code or of
+        # other pixels. If the process ends in between, it finds no section.
+        write_whole(self.folder / f"{key}.npz", pixels)
         document = {
             "code": self.code,
             "seconds": entry.seconds,
+            "pixels": digest_of(pixels),
             "section": document_of(entry.section),
         }
         write_whole(self.folder / f"{key}.json", json.dumps(document, allow_nan=False).encode())
@@ -215,6 +221,11 @@ def refuse_other(folder: Path, held: Mapping[str, Any], wanted: Mapping[str, Any
         raise ReportError(
             f"{folder} holds {held_of}, which is another {what}: choose another folder."
         )
+
+
+def digest_of(data: bytes) -> str:
+    """Return the digest of the bytes of a file, in hexadecimal."""
+    return hashlib.blake2b(data, digest_size=10).hexdigest()
 
 
 def code_digest() -> str:

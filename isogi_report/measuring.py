@@ -60,7 +60,7 @@ class Measured:
     - ``unasked``: studies that were not requested.
     - ``failed``: studies that raised an error, with its text.
     - ``hurried``: studies that are done, but measured less for lack of time.
-    - ``stopped``: True if a person stopped the work.
+    - ``stopped``: True if a person stopped the work before its end.
     """
 
     done: tuple[Entry, ...]
@@ -106,7 +106,9 @@ def measure(
     late = tuple(study for study in missing if study in wanted)
     unasked = tuple(study for study in missing if study not in wanted)
     ordered = tuple(done[study.key] for study in studies if study.key in done)
-    return Measured(ordered, late, unasked, tuple(failed), tuple(hurried), found, stop.is_set())
+    # The last study may have been completed in spite of Ctrl-C: nothing was stopped then.
+    stopped = stop.is_set() and bool(late)
+    return Measured(ordered, late, unasked, tuple(failed), tuple(hurried), found, stopped)
 
 
 class Pieces:

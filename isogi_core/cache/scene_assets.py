@@ -5,7 +5,7 @@ that workers on other machines need, kept in the store by digest.
 import hashlib
 import math
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -101,6 +101,16 @@ class Asset:
                 block = self._block((z, *rest), chunk, dtype)
                 part[...] = block[tuple(map(slice, part.shape))]
             yield slab
+
+    @contextmanager
+    def understood(self) -> Iterator[None]:
+        """Raise StoreError if the block finds facts that are missing, unknown or of another kind,
+        as other code may have written them.
+        """
+        try:
+            yield
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
+            raise self.damaged(f"its facts are of another kind: {one_line(error)}") from error
 
     def damaged(self, why: str) -> StoreError:
         """Return the error for a damaged array; ``why`` completes the sentence."""
@@ -235,15 +245,16 @@ def receive_colours(assets: SceneAssets, store: Store) -> SurfaceColours | None:
     # Read the codes of the colours, (nz, ny, nx) or (nz, ny, nx, 3) uint8: see ``SurfaceColours``.
     places = np.concatenate(list(asset.slabs()))
     # Build the colour scale from the facts; JSON has made lists of its tuples.
-    scale = facts["scale"]
-    pairs = {key: tuple(scale[key]) for key in ("span", "outside")}
-    labels = tuple(
-        Label(**{**each, "colour": tuple(each["colour"])}) for each in scale.get("labels", ())
-    )
-    found = Scale(
-        scale["name"], map=scale["map"], table=np.array(scale["table"]), labels=labels, **pairs
-    )
-    colours = SurfaceColours(places, tuple(facts["step"]), found)
+    with asset.understood():
+        scale = facts["scale"]
+        pairs = {key: tuple(scale[key]) for key in ("span", "outside")}
+        labels = tuple(
+            Label(**{**each, "colour": tuple(each["colour"])}) for each in scale.get("labels", ())
+        )
+        found = Scale(
+            scale["name"], map=scale["map"], table=np.array(scale["table"]), labels=labels, **pairs
+        )
+        colours = SurfaceColours(places, tuple(facts["step"]), found)
     if colours.digest != assets.colours:
         raise asset.damaged("it holds other colours")
     return colours
@@ -318,8 +329,8 @@ def fetch_volume(digest: str, store: Store) -> Volume:
     found = find_copy(digest)
     if found is None:
         asset = Asset(store, f"volumes/{digest}")
-        nz, ny, nx = asset.describe()[0]
-        found = get_copy(digest, 4 * nz * ny * nx, lambda draft: download(asset, draft, digest))
+        size = 4 * math.prod(asset.describe()[0])
+        found = get_copy(digest, size, lambda draft: download(asset, draft, digest))
     return Volume(found[0], **found[1])
 
 
@@ -331,8 +342,13 @@ def download(asset: Asset, draft: Draft, digest: str) -> dict[str, Any]:
     has no header then, and is never read.
     """
     shape, _, _, facts = asset.describe()
+    if len(shape) != 3:
+        raise asset.damaged(f"it has {len(shape)} axes")
     # Compute the digest along the way, as voxels pass by only once.
-    seen = begin_digest(shape, facts["spacing"], facts["offset"], facts["scale"])
+    with asset.understood():
+        seen = begin_digest(shape, facts["spacing"], facts["offset"], facts["scale"])
+        # See that these facts make a volume, before voxels are fetched for it.
+        Volume(np.empty((0, 0, 0), np.float32), **facts)
     for slab in asset.slabs():
         # Voxels are stored as float32, as draft and digest need them: this copies nothing.
         for plane in slab.astype(np.float32, copy=False):

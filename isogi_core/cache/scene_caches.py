@@ -71,17 +71,18 @@ class Loader:
             together = frozenset(chunks)
         else:
             together = frozenset()
-        # Light that this process has not written yet is newer than the store's.
-        newer = {index: self.chunk_store.fresh.newer(index) for index in missing}
-        fresh = [chunk for chunk in newer.values() if chunk is not None]
-        stored = [index for index, chunk in newer.items() if chunk is None]
-        with self._reading() as refreshed, closing(self._read_in_batches(stored)) as shown:
+        with self._reading() as refreshed:
+            # Light that this process has not written yet is newer than the store's.
+            newer = {index: self.chunk_store.fresh.newer(index) for index in missing}
+            fresh = [chunk for chunk in newer.values() if chunk is not None]
+            stored = [index for index, chunk in newer.items() if chunk is None]
             if fresh:
                 shown_fresh = self.chunk_store.show_fresh(fresh)
                 self._insert([chunk.index for chunk in fresh], shown_fresh, together, refreshed)
-            for indices, found in shown:
-                check()
-                self._insert(indices, found, together, refreshed)
+            with closing(self._read_in_batches(stored)) as shown:
+                for indices, found in shown:
+                    check()
+                    self._insert(indices, found, together, refreshed)
 
     def refresh(self, index: Index) -> None:
         """Note that the store has new light of a chunk,

@@ -24,7 +24,7 @@ from isogi_core.files.grid import (
     Affine,
     Grid,
     Periodic,
-    cancelled,
+    blended,
     decompose,
     on_voxels,
 )
@@ -188,6 +188,4 @@ def _between(layer: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.nda
     corners = [
         layer[(j + dj) % ny, (i + di) % nx].astype(np.float64) for dj in (0, 1) for di in (0, 1)
     ]
-    upper = corners[0] * (1.0 - right) + corners[1] * right
-    lower = corners[2] * (1.0 - right) + corners[3] * right
-    return cancelled(upper * (1.0 - down) + lower * down, corners)
+    return blended(corners, down, right)

@@ -122,18 +122,16 @@ def roles_of(found: Sequence[str]) -> tuple[str, ...]:
     x, y and z are among them and no role comes twice; else the last three axes that are neither
     time nor channel are z, y and x, and those before have no role, "".
 
-    If fewer than three axes are neither time nor channel, the axis of time becomes one of space,
-    then that of channels: a film (t, y, x) is (z, y, x). Of two axes of time, or of channels, only
-    the first does, so that z may be missing.
+    If fewer than three axes are neither time nor channel, axes of time become axes of space, the
+    first ones first, then those of channels: a film (t, y, x) is (z, y, x).
     """
     named = sorted(role for role in found if role in ("x", "y", "z"))
     if named == ["x", "y", "z"] and len(set(filter(None, found))) == len([*filter(None, found)]):
         return tuple(found)
     roles = [role if role in ("t", "c") else "" for role in found]
     free = [n for n, role in enumerate(roles) if not role]
-    for other in ("t", "c"):
-        if len(free) < 3 and other in roles:
-            free = sorted([*free, roles.index(other)])
+    spare = [n for other in ("t", "c") for n, role in enumerate(roles) if role == other]
+    free = sorted([*free, *spare[: max(3 - len(free), 0)]])
     for n, role in zip(free[::-1], "xyz", strict=False):
         roles[n] = role
     return tuple(roles)

@@ -440,13 +440,26 @@ def _between(layer: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.nda
     inside = (down >= 0.0) & (down <= 1.0) & (right >= 0.0) & (right <= 1.0)
     upper = layer[j]
     lower = layer[j + 1]
-    beside = [
+    corners = [
         np.take_along_axis(row, i + step, axis=1) for row in (upper, lower) for step in (0, 1)
     ]
-    above = beside[0] * (1.0 - right) + beside[1] * right
-    below = beside[2] * (1.0 - right) + beside[3] * right
-    values = above * (1.0 - down) + below * down
-    return np.where(inside, cancelled(values, beside), np.nan)
+    return np.where(inside, blended(corners, down, right), np.nan)
+
+
+def blended(corners: Sequence[np.ndarray], down: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Return the bilinear means of four ``corners``, (h, w) each: upper left and right, then lower
+    ones.
+
+    ``down`` and ``right`` are the shares of the lower and of the right ones. A corner of weight 0
+    does not count, even if it is NaN or infinite: a place on a voxel does not see holes beside it.
+    """
+    weights = [y * x for y in (1.0 - down, down) for x in (1.0 - right, right)]
+    parts = [
+        np.where(weight > 0.0, corner, 0.0) for weight, corner in zip(weights, corners, strict=True)
+    ]
+    upper = parts[0] * (1.0 - right) + parts[1] * right
+    lower = parts[2] * (1.0 - right) + parts[3] * right
+    return cancelled(upper * (1.0 - down) + lower * down, parts)
 
 
 ROUNDING = 1e-12

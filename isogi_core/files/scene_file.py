@@ -233,7 +233,9 @@ Target = str | Path | SceneSource | None
 def find_source(target: Target, overrides: Mapping[str, Any]) -> SceneSource:
     """Read a scene's document, without opening its volume; ``overrides`` replace keys of it."""
     if isinstance(target, SceneSource):
-        return replace(target, document={**target.document, **overrides})
+        # An isovalue that is given replaces the one that isogi chose.
+        found = target.found and "isovalue" not in overrides
+        return replace(target, document={**target.document, **overrides}, found=found)
     text, lying = split_settings(str(target or DEFAULT_DEMO))
     changes = {key: lying.pop(key) for key in CHANGING_PARAMETERS if key in lying}
     source = source_at(text, {**overrides, **lying})

@@ -150,7 +150,10 @@ class Camera:
             raise ViewError("The camera's up is zero or along the view direction: give another up.")
 
     def basis(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return unit vectors (right, up, forward), right-handed, each of shape (3,), float64."""
+        """Return unit vectors (right, up, forward) at right angles, each of shape (3,), float64.
+
+        They are left-handed: right × up points backward.
+        """
         forward = np.subtract(self.target, self.eye)
         forward = forward / np.linalg.norm(forward)
         # Scale ``up`` to a length of about 1, so that no product of its parts underflows.

@@ -1,6 +1,7 @@
 """Settings of a process: options, environment variables ``ISOGI_…``, or lines of a TOML file."""
 
 import os
+import tomllib
 from ipaddress import ip_address, ip_network
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, Self
@@ -461,8 +462,11 @@ def read_settings(config: Path | None = None, **given: Any) -> Settings:
     given; OSError if the file cannot be read.
     """
     for former, sentence in FORMER_SETTING_NAMES.items():
-        if former in given or f"ISOGI_{former.upper()}" in os.environ:
+        variable = f"ISOGI_{former.upper()}"
+        if former in given:
             raise ValueError(f"{former} {sentence}")
+        if variable in os.environ:
+            raise ValueError(f"{variable}: {former} {sentence}")
     if config is None:
         return Settings(**given)
     # Raise OSError for a missing file, which pydantic would take as an empty one.
@@ -473,4 +477,7 @@ def read_settings(config: Path | None = None, **given: Any) -> Settings:
 
             model_config = SettingsConfigDict(toml_file=config)
 
-        return Configured(**given)
+        try:
+            return Configured(**given)
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise ValueError(f"{config}: {error}") from error

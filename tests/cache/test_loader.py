@@ -163,6 +163,29 @@ def test_light_that_comes_while_older_is_read_is_read_next(
     assert brought(loader, A, B) == (newest[0], "")
 
 
+def test_light_that_comes_as_a_call_begins_is_read_next(
+    loader: Loader, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Between the look at what is unwritten and its use, there is newer light."""
+    older, newer = (baked(loader.chunk_store.spec, A, samples=samples) for samples in (16, 64))
+    layers = (True,) * len(loader.chunk_store.layers)
+    fresh = loader.chunk_store.fresh
+    fresh.put(older, layers)
+    look = fresh.newer
+
+    def overtaken(index: Index) -> Any:
+        found = look(index)
+        if found is older:
+            fresh.put(newer, layers)
+            loader.refresh(A)
+        return found
+
+    monkeypatch.setattr(fresh, "newer", overtaken)
+    first = brought(loader, A)
+    assert brought(loader, A) != first
+    assert loader.pool.missing([A]) == []
+
+
 def test_damage_counts_as_absence_and_is_logged(
     loader: Loader, clock: Clock, caplog: pytest.LogCaptureFixture
 ) -> None:

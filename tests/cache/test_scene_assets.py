@@ -2,9 +2,12 @@
 damaged one.
 """
 
+import json
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import nrrd
 import numpy as np
@@ -151,6 +154,38 @@ def test_a_damaged_asset_is_refused_and_never_copied(
     assert not list(copies.glob("*.voxels")) and not list(copies.glob("*.partial"))
     chunk.write_bytes(whole)
     assert received(scene, assets, tmp_path / "store").digest == scene.digest
+
+
+def without_spacing(found: dict[str, Any]) -> None:
+    del found["attributes"]["isogi"]["spacing"]
+
+
+def without_name(found: dict[str, Any]) -> None:
+    del found["attributes"]["isogi"]["name"]
+
+
+def with_more(found: dict[str, Any]) -> None:
+    found["attributes"]["isogi"]["colour"] = "red"
+
+
+def of_two_axes(found: dict[str, Any]) -> None:
+    found["shape"] = [9 * 12, 17]
+    found["chunk_grid"]["configuration"]["chunk_shape"] = [4, 8]
+
+
+@pytest.mark.parametrize("change", [without_spacing, without_name, with_more, of_two_axes])
+def test_facts_of_another_kind_are_refused(
+    scene: Scene, tmp_path: Path, copies: Path, change: Callable[[dict[str, Any]], None]
+) -> None:
+    """As another version may write them, of a volume."""
+    assets = send_assets(scene, Store(tmp_path / "store"))
+    path = next((tmp_path / "store" / "volumes").glob("*/zarr.json"))
+    found = json.loads(path.read_text())
+    change(found)
+    path.write_text(json.dumps(found))
+    with pytest.raises(StoreError, match="is damaged"):
+        received(scene, assets, tmp_path / "store")
+    assert not list(copies.glob("*.voxels"))
 
 
 def test_a_demo_needs_no_volume_asset(tmp_path: Path) -> None:

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from isogi_core.files.formats.chemistry.levels import level_in
+from isogi_core.files.scene_file import find_source
 from isogi_core.model.volume import make_volume
-from isogi_core.plan.assembly import load_scene, otsu
+from isogi_core.plan.assembly import build_scene, load_scene, otsu
 from isogi_core.plan.starts import HELD_SHARE, Start, find_start
 from isogi_core.plan.variants import at_both_signs, smoothed_by
 
@@ -62,6 +63,14 @@ def test_a_peaked_density_starts_by_its_mass() -> None:
     assert not start.signed
     share = DENSITY[start.isovalue < DENSITY].sum(dtype=float) / DENSITY.sum(dtype=float)
     assert abs(share - HELD_SHARE) < 0.02
+
+
+def test_a_given_isovalue_replaces_the_chosen_one(tmp_path: Path) -> None:
+    np.save(tmp_path / "d.npy", DENSITY)
+    source = load_scene(tmp_path / "d.npy").source
+    assert source.found and find_source(source, {"target_error": 0.1}).found
+    given = build_scene(find_source(source, {"isovalue": 0.4}))
+    assert (given.isovalue, given.source.found) == (0.4, False)
 
 
 @pytest.mark.parametrize(

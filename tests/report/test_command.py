@@ -15,6 +15,7 @@ import pytest
 from isogi_core.errors import Cancelled, ReportError
 from isogi_core.plan.assembly import load_scene
 from isogi_report import command as report
+from isogi_report import journal as journals
 from isogi_report import measuring
 from isogi_report.bench import Bench
 from isogi_report.journal import Entry, open_journal, subject_of, workshop
@@ -158,6 +159,17 @@ def test_ctrl_c_leaves_a_page_and_the_next_run_goes_on(command: Command) -> None
     assert command.run()[0] == 0
     assert command.ran == command.keys == ["split", "none"]
     assert command.data["notes"] == []
+
+
+def test_ctrl_c_in_a_last_study_that_ends_is_no_stop(command: Command) -> None:
+    def unmoved(_: Bench) -> Section:
+        signal.raise_signal(signal.SIGINT)
+        return sections()[1]
+
+    with command.having("none", unmoved):
+        facts = command.facts()
+    assert (facts["stopped"], facts["missing"], facts["notes"]) == (False, [], [])
+    assert command.keys == ["split", "none"]
 
 
 def test_what_does_not_fit_is_left_out_and_told(command: Command) -> None:
@@ -329,6 +341,28 @@ def test_a_damaged_entry_is_measured_again(
         journal.keep("split", Entry(sections()[0], 2.5))
         path = tmp_path / "journal" / name
         path.write_bytes(damage(path.read_bytes()))
+        assert journal.find("split") is None
+
+
+def test_pixels_of_another_run_are_not_shown(
+    subject: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A process ends between the writes of an entry that was there before."""
+    section = sections()[0]
+    brighter = tuple(replace(each, pixels=2.0 * each.pixels) for each in section.pictures)
+    whole = journals.write_whole
+
+    def cut(path: Path, data: bytes) -> None:
+        if path.suffix == ".json":
+            raise KeyboardInterrupt
+        whole(path, data)
+
+    with open_journal(tmp_path, subject) as journal:
+        journal.keep("split", Entry(section, 2.5))
+        with monkeypatch.context() as patch:
+            patch.setattr(journals, "write_whole", cut)
+            with pytest.raises(KeyboardInterrupt):
+                journal.keep("split", Entry(replace(section, pictures=brighter), 2.5))
         assert journal.find("split") is None
 
 

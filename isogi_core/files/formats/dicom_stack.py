@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import VolumeError
+from isogi_core.files.coordinates import SPACING_KEY
 from isogi_core.files.grid import LabelName, srgb_bytes
 from isogi_core.files.packing import Packing
 
@@ -22,6 +23,11 @@ EVEN_STEP_SHARE = 0.05
 
 MAX_LAYERS_PER_SLICE = 8
 """Largest number of layers for each slice, if these are uneven."""
+
+PIXELS_UNMEASURED = (
+    f"The slices do not say how far apart their pixels are, and 1 mm is taken: {SPACING_KEY}."
+)
+"""The note on slices of known positions without a spacing of pixels."""
 
 Layers = tuple[tuple[tuple[Any, float, Packing], ...], ...]
 """Place, weight and packing of each slice of each layer; a layer without slices is missing."""
@@ -52,8 +58,8 @@ class Stack:
     """Layers from first to last: each is a weighted mean of slices, or empty if a slice is missing.
 
     ``affine`` (3, 4) brings voxel indices to the patient's left, posterior, superior, in mm; None
-    if that is unknown. ``measured`` is True if the file gives lengths: positions, or the steps
-    between pixels. ``between`` is True if some layer is interpolated between slices, or missing.
+    if that is unknown. ``measured`` is True if the file gives the steps between pixels. ``between``
+    is True if some layer is interpolated between slices, or missing.
     """
 
     layers: Layers
@@ -126,10 +132,9 @@ def _one_time(
     """
     # Heights that agree to a micrometre are one place. Sort by place, then by number, so that the
     # slices of a place follow each other.
-    order = sorted(
-        range(len(slices)), key=lambda n: (round(float(heights[n]), 3), slices[n].number)
-    )
-    places, counts = np.unique(np.round(heights, 3), return_counts=True)
+    rounded = np.round(heights, 3)
+    order = sorted(range(len(slices)), key=lambda n: (rounded[n], slices[n].number))
+    places, counts = np.unique(rounded, return_counts=True)
     if len(set(counts.tolist())) > 1:
         raise VolumeError(
             f"'{name}' has {len(slices)} slices at {len(places)} places, some doubled: leave "
@@ -150,6 +155,8 @@ def _placed(
     first = slices[0]
     last = slices[-1]
     steps = np.diff(heights)
+    if first.pixel is None:
+        notes.append(PIXELS_UNMEASURED)
     if sparse or not len(steps):
         given = first.between
     else:
@@ -246,7 +253,8 @@ def _stack(layers: Layers, first: Slice, last: Slice, usual: float) -> Stack:
     affine = np.column_stack([pose[:3] * x, pose[3:] * y, along, origin])
     # Values must then be floats: for means of two slices, and for the NaN of a missing layer.
     mixed_or_missing = any(len(layer) != 1 for layer in layers)
-    return Stack(layers, affine, (x, y, float(np.linalg.norm(along))), True, mixed_or_missing)
+    spacing = (x, y, float(np.linalg.norm(along)))
+    return Stack(layers, affine, spacing, first.pixel is not None, mixed_or_missing)
 
 
 SEGMENT_TAGS = ("SegmentSequence", "SegmentationType", "MaximumFractionalValue")

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -11,6 +12,7 @@ from isogi_core.errors import VolumeError
 from isogi_core.files.coordinates import NOWHERE, SPACING_KEY, Along, Place, place_by
 from isogi_core.files.formats.source import Source, library, pick_axes, reader
 from isogi_core.files.grid import Grid, Shape, read_as, slab_layers
+from isogi_core.files.packing import Packing, Scaling, holed, whole_type
 
 FITS_EXTRA = "'isogi[fits]'"
 
@@ -22,8 +24,8 @@ SKY = ("RA", "DEC", "GLON", "GLAT", "ELON", "ELAT")
 def open_fits(source: Source) -> Grid:
     """Open an image of three axes or more as a grid. Raises VolumeError.
 
-    Only headers and one layer are read now. Axes of length one are left out. The last three of the
-    others, the fastest ones, are z, y, x; ``pick_axes`` chooses along those before.
+    Only headers are read now. Axes of length one are left out. The last three of the others, the
+    fastest ones, are z, y, x; ``pick_axes`` chooses along those before.
     """
     with _image(source) as image:
         long = [n for n, length in enumerate(image.shape) if length > 1]
@@ -35,23 +37,19 @@ def open_fits(source: Source) -> Grid:
             key[axis] = element
         shape = tuple(int(image.shape[n]) for n in inner)
         source.check(shape)
-        # Read one layer for the type of its values, which follows from the scaling and from the
-        # number that marks holes.
-        first = list(key)
-        first[inner[0]] = slice(0, 1)
-        dtype = np.asarray(image.section[tuple(first)]).dtype.newbyteorder("=")
         stored = _stored_type(image.header)
+        packing = _packing(image.header)
         place = _place(image.header, [len(image.shape) - n for n in inner[::-1]], shape[::-1])
     known = read_as("FITS", stored, "its axes" if place.said and not place.notes else "")
     return Grid(
         shape,
-        dtype,
+        packing.dtype,
         place.spacing,
-        partial(_slabs, source, tuple(key), inner[0], shape, dtype),
+        partial(_slabs, source, tuple(key), inner[0], shape),
         source.stamp,
         place.affine,
         place.unit,
-        place.notes,
+        (*place.notes, *packing.notes),
         moment,
         read_as=known,
     )
@@ -71,13 +69,41 @@ def _stored_type(header: Any) -> np.dtype[Any]:
     return np.dtype(f"{letter}{abs(bits) // 8}")
 
 
+MOVED = {"u1": -(2.0**7), "i2": 2.0**15, "i4": 2.0**31, "i8": 2.0**63}
+"""BZERO by which whole numbers of the other sign are stored, by the type of stored numbers. Source:
+FITS standard 4.0, section 4.4.2.5, table 11.
+"""
+
+
+def _packing(header: Any) -> Packing:
+    """Return how the stored numbers of an image become values: holes (BLANK), then the scaling.
+
+    astropy would mark no hole whose BLANK is 0, nor any in numbers of the other sign.
+    """
+    stored = _stored_type(header)
+    scaling = Scaling(float(header.get("BSCALE", 1.0)), float(header.get("BZERO", 0.0)))
+    blank = header.get("BLANK")
+    holes = []
+    # BLANK is a stored number, and whole numbers alone have one.
+    if stored.kind in "iu" and isinstance(blank, int):
+        limits = np.iinfo(stored)
+        holes = [blank] if limits.min <= blank <= limits.max else []
+    if scaling == Scaling(1.0, MOVED.get(stored.str[1:], np.nan)):
+        moved = whole_type(stored, unsigned=stored.kind == "i")
+        return holed(moved, [each + int(scaling.intercept) for each in holes], "BLANK")
+    return replace(holed(stored, holes, "BLANK"), scaling=scaling)
+
+
 @contextmanager
 def _image(source: Source) -> Iterator[Any]:
     """Open the image that is chosen by its number or name; by default the only one that has three
     or more axes longer than one. Raises VolumeError.
     """
     fits = library("astropy.io.fits", "FITS", FITS_EXTRA)
-    with source.unpacked() as file, fits.open(file, memmap=False) as units:
+    with (
+        source.unpacked() as file,
+        fits.open(file, memmap=False, do_not_scale_image_data=True) as units,
+    ):
         part = source.chosen.get("part")
         cubes = {
             str(n): unit
@@ -126,16 +152,20 @@ def _place(header: Any, numbers: Sequence[int], lengths: Sequence[int]) -> Place
     return place_by(axes)
 
 
-def _slabs(
-    source: Source, key: tuple[Any, ...], along: int, shape: Shape, dtype: np.dtype[Any]
-) -> Iterator[np.ndarray]:
+def _slabs(source: Source, key: tuple[Any, ...], along: int, shape: Shape) -> Iterator[np.ndarray]:
     """Yield some layers at a time, (layers, ny, nx), scaled, NaN where the header marks holes.
 
     ``key`` chooses the field in the image, and ``along`` is the place of z among its axes.
     """
     with _image(source) as image:
-        step = slab_layers(shape[1] * shape[2] * dtype.itemsize)
+        stored = _stored_type(image.header)
+        packing = _packing(image.header)
+        step = slab_layers(shape[1] * shape[2] * packing.dtype.itemsize)
         for z in range(0, shape[0], step):
             layers = list(key)
             layers[along] = slice(z, min(z + step, shape[0]))
-            yield np.asarray(image.section[tuple(layers)]).astype(dtype)
+            numbers = np.asarray(image.section[tuple(layers)]).astype(stored)
+            # To move whole numbers to the other sign is to turn their highest bit.
+            if packing.stored != stored:
+                numbers = numbers ^ stored.type(np.iinfo(stored).min or 1 << 7)
+            yield packing.apply(numbers).astype(packing.dtype, copy=False)

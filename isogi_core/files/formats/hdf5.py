@@ -283,9 +283,7 @@ def _dataset(source: Source) -> Iterator[Any]:
             only = [each for each in (fields, fields_in_space) if len(each) == 1]
             meant = found or (only[0][0] if only else None)
         else:
-            ending = [
-                each for each in fields if f"/{part.strip('/')}" == each.name[-len(part) - 1 :]
-            ]
+            ending = [each for each in fields if ends_in(each.name, part)]
             meant = ending[0] if len(ending) == 1 else None
         if meant is None:
             raise unchosen(source, [each.name.strip("/") for each in fields])
@@ -293,6 +291,11 @@ def _dataset(source: Source) -> Iterator[Any]:
         if not any(each in LEVELLED and each(source, whole) for each in CHOICES):
             source.refuse_others("part", "time", "channel")
         yield meant
+
+
+def ends_in(name: str, part: str) -> bool:
+    """Return True if the path ``name`` ends in the path ``part``, whole names compared."""
+    return f"/{name.strip('/')}".endswith(f"/{part.strip('/')}")
 
 
 def _is_in_space(data: Any) -> bool:
@@ -305,11 +308,15 @@ def unchosen(source: Source, names: Sequence[str]) -> VolumeError:
     """Return the error for a file that has no volume, or several if none of them is chosen, or not
     exactly one of the name that is chosen.
 
-    The error lists the first eight of ``names``, the paths of all volumes in the file.
+    The error lists the first eight of ``names``, the paths of all volumes in the file, or of those
+    that end in the chosen name, if there are several.
     """
     part = source.chosen.get("part")
-    listed = ", ".join(f"'{source.name}#{name}'" for name in names[:8])
-    if part:
+    alike = [name for name in names if part and ends_in(name, part)]
+    listed = ", ".join(f"'{source.name}#{name}'" for name in (alike or names)[:8])
+    if alike:
+        wrong = f"'{source.name}' holds several volumes '{part}'"
+    elif part:
         wrong = f"'{source.name}' has no volume '{part}'"
     else:
         wrong = f"'{source.name}' holds several volumes"

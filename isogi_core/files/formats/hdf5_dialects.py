@@ -98,8 +98,11 @@ def choose_vtk(source: Source, whole: Any) -> Any:
 
 
 def describe_vtk(source: Source, data: Any) -> Said | None:
-    """Place an array of a VTKHDF image, of which the first of four axes is taken as time; values of
-    cells lie in the middle of these. None for an array outside of the group VTKHDF.
+    """Place an array of a VTKHDF image; values of cells lie in the middle of these. None for an
+    array outside of the group VTKHDF.
+
+    Its axes are z, y, x, after one of time if the file has steps, and before one of components if a
+    voxel has several.
     """
     parts = data.name.strip("/").split("/")
     if parts[0] != VTK_GROUP:
@@ -116,9 +119,11 @@ def describe_vtk(source: Source, data: Any) -> Said | None:
     if "CellData" in parts:
         first = first + 0.5
     start = (np.zeros(3) if origin is None else origin) + matrix @ first
-    # The roles of more than four axes are left open.
-    roles = ("t",) * (data.ndim - 3) + ("z", "y", "x")
-    return Said(roles if data.ndim <= 4 else (), placed(matrix, start), "its spacing and origin")
+    timed = "Steps" in group and data.ndim > 3
+    roles = ("t", "z", "y", "x", "c")[0 if timed else 1 :][: data.ndim]
+    # The roles of more axes are left open.
+    known = roles if len(roles) == data.ndim else ()
+    return Said(known, placed(matrix, start), "its spacing and origin")
 
 
 PMD_UNITS = {1.0: "m", 1e-3: "mm", 1e-6: "µm", 1e-9: "nm"}

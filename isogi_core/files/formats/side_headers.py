@@ -135,8 +135,9 @@ def grid_of(source: Source, kind: str, said: Described) -> Grid:
     size = math.prod(said.shape) * said.dtype.itemsize
     first = said.first
     if first is None:
-        with voxels.open() as file:
-            first = max(file.seek(0, 2) - size, 0)
+        # Of a packed file the bytes of its content count.
+        with voxels.unpacked() as content:
+            first = max(content.seek(0, 2) - size, 0)
     # ``Source.at`` returns a file with the usual limit of voxels: set that of the header.
     voxels = replace(voxels, voxels=source.voxels)
     beside = () if voxels.path in (None, source.path) else (voxels.path,)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from isogi_core.model.colours import SurfaceColours
-from isogi_core.model.volume import Isovalue
+from isogi_core.model.volume import Isovalue, Volume
 from isogi_core.plan.reachable_texels import surface_cells
 from isogi_core.plan.scene import Scene
 
@@ -19,11 +19,11 @@ SLAB_BYTES = 1 << 22
 @dataclass(frozen=True, eq=False)
 class ColourCodes:
     """The ``colours`` of a scene, of which a card needs those at isosurfaces between the ``ends``
-    of a range of isovalues, and the ``voxels`` that decide where these lie.
+    of a range of isovalues, and the ``volume`` whose voxels decide where these lie.
     """
 
     colours: SurfaceColours
-    voxels: np.ndarray
+    volume: Volume
     ends: tuple[Isovalue, Isovalue]
 
     @classmethod
@@ -35,7 +35,7 @@ class ColourCodes:
         if colours is None:
             return None
         ends = scene.volume.normalise_span(*(span or scene.isovalues))
-        return cls(colours, scene.volume.voxels, ends)
+        return cls(colours, scene.volume, ends)
 
     @property
     def nbytes(self) -> int:
@@ -52,7 +52,7 @@ class ColourCodes:
     @property
     def version(self) -> str:
         """Hex digest of everything that the codes depend on."""
-        text = f"{self.colours.digest} {self.ends}"
+        text = f"{self.colours.digest} {self.volume.digest} {self.ends}"
         return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
     def layers(self, first: int, last: int) -> np.ndarray:
@@ -63,13 +63,14 @@ class ColourCodes:
         faces of windows show those inside of matter, and they compress well by themselves.
         """
         places = self.colours.places
+        voxels = self.volume.voxels
         asked = places[first:last]
-        if places.shape != self.voxels.shape:
+        if places.shape != voxels.shape:
             return asked
         # Mark the cells that may show a surface, those above and below the layers included, then
         # the corners of these cells.
         a = max(first - 1, 0)
-        slab = self.voxels[a : min(last + 1, len(self.voxels))]
+        slab = voxels[a : min(last + 1, len(voxels))]
         shown = np.zeros(slab.shape, np.bool_)
         cells = surface_cells(slab, *self.ends)
         for corner in np.ndindex(2, 2, 2):

@@ -111,22 +111,26 @@ class ShineLight:
         """A name of the rays that it is made of, without the light at the ends of the first
         ones.
         """
-        return repr(self.light.shine).encode() + self.sums.version
+        return self.named(self.sums)
+
+    def named(self, sums: Estimate) -> bytes:
+        """Return the ``version`` if the rays are those of ``sums``."""
+        return repr(self.light.shine).encode() + sums.version
 
     def is_shown(self, frame: Frame) -> bool:
         """Return True if a ``frame`` shows all rays that were cast."""
         return frame.quality.rays.startswith(self.version)
 
-    def put(self, seen: SeenLight | None, framebuffer: Framebuffer, tiles: Tiles) -> None:
+    def put(self, brought: SeenLight | Estimate, framebuffer: Framebuffer, tiles: Tiles) -> None:
         """Add the shine to a picture of diffuse light, of which the share ``below`` stays.
 
-        ``seen`` is the light at the ends of the first rays, which bring the shine then; if it is
-        None, all later rays bring it, in the mean. Raises Cancelled.
+        It is ``brought`` by the first rays, with the light at their ends, or in the mean by the
+        later ones, with their sums. Raises Cancelled.
         """
-        if seen is None:
-            brought = self._sharp(tiles)
+        if isinstance(brought, Estimate):
+            found = self._sharp(brought, tiles)
         else:
-            brought = self._filtered(self.rays.gather(seen.light), tiles)
+            found = self._filtered(self.rays.gather(brought.light), tiles)
         darkest = MIN_LIGHT * self.light.spec.unit
 
         # Both errors are independent, so their squares add up.
@@ -134,8 +138,8 @@ class ShineLight:
             pixels = self.gbuffer.pixels[a:b]
             diffuse = framebuffer.radiance[pixels] * self.below[a:b]
             noise = framebuffer.error[pixels] * (diffuse @ LUMINANCE_WEIGHTS)
-            light = diffuse + brought.light[a:b]
-            error = np.sqrt(noise**2 + brought.variance[a:b]) / np.maximum(
+            light = diffuse + found.light[a:b]
+            error = np.sqrt(noise**2 + found.variance[a:b]) / np.maximum(
                 light @ LUMINANCE_WEIGHTS, darkest
             )
             framebuffer.radiance[pixels] = np.minimum(light, np.finfo(np.float32).max)
@@ -169,9 +173,9 @@ class ShineLight:
         blurred = ((steps[-1] - steps[-2])[:, :3] @ LUMINANCE_WEIGHTS) ** 2
         return NoisyLight(steps[-1][:, :3], steps[-1][:, 3] + blurred)
 
-    def _sharp(self, tiles: Tiles) -> NoisyLight:
-        """Return the light of all rays that were cast since the light of texels is final."""
-        return NoisyLight.of(self.sums.means, self.gbuffer, tiles)
+    def _sharp(self, sums: Estimate, tiles: Tiles) -> NoisyLight:
+        """Return the light of ``sums``, those of rays cast since the light of texels is final."""
+        return NoisyLight.of(sums.means, self.gbuffer, tiles)
 
     def noisy(self, allowed: float, tiles: Tiles) -> np.ndarray:
         """Return the rows of the points that are to have more rays: all at first, none once the
@@ -179,7 +183,7 @@ class ShineLight:
         """
         if self.count < MIN_RAYS:
             return np.arange(len(self.gbuffer.points))
-        return self.sums.noisy(self._sharp(tiles).variance, allowed)
+        return self.sums.noisy(self._sharp(self.sums, tiles).variance, allowed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,14 +206,16 @@ class ViewShine(Refinement[ShineLight]):
         """
         tiles = shot.tiles
         shine = self._begun(shot)
+        # Read the sums once: another thread may replace them meanwhile.
+        sums = shine.sums
         # Rays cast after the first ones replace these. Their sums hold final light, so their number
         # names it. The light at the ends of the first rays still changes: look it up now.
-        if shine.count:
-            shine.put(None, framebuffer, tiles)
-            return shine.version
+        if sums.most:
+            shine.put(sums, framebuffer, tiles)
+            return shine.named(sums)
         ends = self._ends(shine.rays, shot)
         shine.put(ends, framebuffer, tiles)
-        return shine.version + ends.version
+        return shine.named(sums) + ends.version
 
     def of(self, shot: Shot) -> ShineLight | None:
         """Return the shine in a ``shot``, None if it has none: see ``Refinement``."""

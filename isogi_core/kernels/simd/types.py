@@ -44,7 +44,9 @@ def register_lanes() -> int | None:
         return next(
             (lanes for feature, lanes in FEATURE_LANES.items() if f"+{feature}" in features), None
         )
-    # Compile for a processor that is given by its name alone.
+    # Compile for a processor that is given by its name alone, or for this one if no features are
+    # allowed but those of its name.
+    name = name or llvm.get_host_cpu_name()
     wide = any(name.startswith(cpu) for cpu in AVX512_CPUS)
     if wide:
         return 16

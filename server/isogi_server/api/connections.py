@@ -283,22 +283,23 @@ class Connection(H11Protocol):
     @property
     def waits(self) -> bool:
         """Return True if the head of the next request has not come yet."""
-        return (
-            self.conn.their_state is h11.IDLE
-            and not self._refused
-            and not self.transport.is_closing()
-        )
+        return self.conn.their_state is h11.IDLE and self._heard
 
     @property
     def lacks(self) -> str | None:
         """Return the part of the present request that is incomplete, "head" or "body"; None if
-        it is complete.
+        it is complete, or if the connection is being closed.
         """
         if self.waits:
             return "head"
-        if self.conn.their_state is h11.SEND_BODY and not self._refused:
+        if self.conn.their_state is h11.SEND_BODY and self._heard:
             return "body"
         return None
+
+    @property
+    def _heard(self) -> bool:
+        """True if what the client says still matters: its connection is not being closed."""
+        return not self._refused and not self.transport.is_closing()
 
     @property
     def body_seconds(self) -> int:

@@ -55,7 +55,7 @@ def settings_from(config: Path | None = None, **given: Any) -> Settings:
             value = f", not {first['input']!r}"
         raise click.UsageError(f"{complaint(name, first)}{value}.") from None
     except ValueError as error:
-        raise click.UsageError(f"{config}: {error}." if config else f"{error}.") from None
+        raise click.UsageError(f"{error}.") from None
 
 
 OTHER_VARIABLES = ("ISOGI_KERNEL_CACHE", "ISOGI_SHARED_DATA")

@@ -69,8 +69,8 @@ class Unfinished:
     - ``seconds``: time that drawing it took, by stage.
     - ``bake``, ``chunks``: light that it needs next.
     - ``later``: stages after that.
-    - ``read``: chunks that its texels read; () if paths alone light it, None if it reads no texels
-      for another reason.
+    - ``read``: chunks that its texels read, of the bake ``read_from``; () if paths alone light it,
+      None if it reads no texels for another reason.
     - ``fineness``: steps by which its texels are finer.
     - ``foreseen``: paths that its pixels are expected to take, until it is measured.
     """
@@ -85,6 +85,7 @@ class Unfinished:
     chunks: tuple[Index, ...] = ()
     later: tuple[Stage, ...] = ()
     read: tuple[Index, ...] | None = None
+    read_from: str = ""
     fineness: int = 0
     foreseen: PathsLeft = NOTHING_LEFT
 
@@ -372,7 +373,8 @@ class RenderEngine:
     def _bake_lacking(self, picture: Picture) -> BackgroundBake | None:
         """Request the first light that texels of a ``picture`` lack, of one stage, for IDLE_VIEWER:
         first of those that the view reads while it moves, then of all. Return None if they lack
-        none, or if the store is only read. Raises NoRoomError, and as ``frame`` does.
+        none that can be baked, or if the store is only read. Raises NoRoomError, and as ``frame``
+        does.
         """
         if self.store.only_read():
             return None
@@ -386,7 +388,10 @@ class RenderEngine:
                 if unlit:
                     first = replace(stage, demands=unlit, goal=Goal.checked(picture.goal.error))
                     bake = self.bake_at(picture.scene, spec_name(view.shading), first)
-                    return self.bake(bake, first, IDLE_VIEWER)
+                    begun = self.bake(bake, first, IDLE_VIEWER)
+                    # If all of it was given up, other stages and the view at rest have their turn.
+                    if begun.coming:
+                        return begun
         return None
 
     def want(self, scene: str, frame: Frame, goal: Goal, viewer: Viewer) -> frozenset[Index]:
@@ -422,7 +427,10 @@ class RenderEngine:
         If a frame with finer texels is coming in its place, that one's needs count. The stage is
         empty for a path-traced frame, which needs no texels.
         """
-        frame = frame.quality.finer or frame
+        return self._lacking(scene, frame.quality.finer or frame)
+
+    def _lacking(self, scene: str, frame: Frame) -> tuple[str, Stage]:
+        """Return bake and stage as ``lacking`` does, for the texels of this very ``frame``."""
         stage = next(iter(frame.stages), Stage((), Goal(self.planned(scene).target_error)))
         spec = spec_name(frame.view.shading)
         return self.bake_at(scene, spec, stage, frame.quality.fineness), stage
@@ -470,6 +478,7 @@ class RenderEngine:
             chunks=tuple(demand.index for demand in stage.demands),
             later=(frame.quality.finer or frame).stages[1:],
             read=read,
+            read_from=self._lacking(scene, frame)[0] if frame.quality.finer else bake,
             fineness=frame.quality.fineness,
             foreseen=ViewChecks.foreseen(frame, goal),
         )
@@ -523,7 +532,7 @@ class RenderEngine:
         checks = self._find(lacks.scene).level(lacks.fineness).renderer.checks
         left = checks.known_left(lacks.view, lacks.goal) or lacks.foreseen
         if lacks.read is not None:
-            spent = self.baker.spent(lacks.bake, lacks.read)
+            spent = self.baker.spent(lacks.read_from, lacks.read)
             baking = baking.plus(time_of_paths(left, spent, self._checking.threads, lacks.seconds))
         # Report a time that does not jump.
         if baking.high > 0.0:

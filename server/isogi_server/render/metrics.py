@@ -264,7 +264,7 @@ class ServerCollector(Collector):
         self._free = free
 
     def describe(self) -> Iterable[Metric]:
-        """Describe nothing in advance: uploads may not be open."""
+        """Describe nothing in advance: threads and bytes are counted when metrics are read."""
         return ()
 
     def collect(self) -> Iterable[Metric]:

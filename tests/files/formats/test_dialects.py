@@ -46,6 +46,23 @@ def test_vtkhdf_has_spacing_and_origin(tmp_path: Path, of_cells: bool) -> None:
     np.testing.assert_array_equal(grid.whole(), F)
 
 
+@pytest.mark.parametrize("timed", [False, True])
+def test_vtkhdf_of_four_axes_has_components_or_steps(tmp_path: Path, timed: bool) -> None:
+    """Steps come first and are said in a group of their own; components come last."""
+    fields = (F, -F, 2 * F)
+    with h5py.File(tmp_path / "f.vtkhdf", "w") as file:
+        group = file.create_group("VTKHDF")
+        group.attrs.create("Type", np.bytes_("ImageData"))
+        group.create_dataset("PointData/rho", data=np.stack(fields, 0 if timed else -1))
+        if timed:
+            group.create_dataset("Steps/Values", data=np.arange(3.0))
+    key = "time" if timed else "channel"
+    for number, field in enumerate(fields):
+        grid = opened(tmp_path / "f.vtkhdf", **{key: number})
+        np.testing.assert_array_equal(grid.whole(), field)
+        assert grid.moment == ((number, 3) if timed else (0, 1))
+
+
 def test_vtkhdf_of_a_mesh_is_named(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "f.vtkhdf", "w") as file:
         file.create_group("VTKHDF").attrs.create("Type", np.bytes_("UnstructuredGrid"))

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from isogi_core.errors import VolumeError
+from isogi_core.files.formats.dicom_stack import Slice, stack_of
 from isogi_core.files.formats.opening import open_file, open_upload
 from isogi_core.files.grid import Grid, LabelName, on_right_angles
+from isogi_core.files.packing import Packing
 from tests.files.formats.dicom_files import dataset, write_series
 from tests.files.formats.phantom import affine, letter
 from tests.loaded import load_scene
@@ -120,6 +122,37 @@ def test_time_steps_are_chosen(tmp_path: Path) -> None:
     with pytest.raises(VolumeError, match="2 slices at each place"):
         opened(tmp_path / "a")
     np.testing.assert_array_equal(opened(tmp_path / "a", time=1).whole(), F + 1)
+
+
+def test_slices_half_a_micrometre_apart_are_not_mixed() -> None:
+    """Python and NumPy round the lower of the two heights differently."""
+    pose = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
+    packing = Packing(np.dtype(np.int16))
+    slices = [
+        Slice(
+            f"{height} {n}",
+            f"{height} {n}",
+            (n, 0),
+            (0.0, 0.0, height),
+            pose,
+            (1.0, 1.0),
+            None,
+            packing,
+        )
+        for height, n in ((0.0025, 1), (0.0025, 4), (0.003, 2), (0.003, 3))
+    ]
+    stack, _ = stack_of("a series", slices, lambda count, _: 0)
+    assert [layer[0][0] for layer in stack.layers] == ["0.0025 1", "0.003 2"]
+
+
+def test_pixels_without_spacing_have_no_unit(tmp_path: Path) -> None:
+    for number, layer in enumerate(F):
+        made = dataset(layer, LPS, number)
+        del made.PixelSpacing
+        save(tmp_path / "a", f"{number}.dcm", made)
+    grid = opened(tmp_path / "a")
+    np.testing.assert_array_equal(grid.whole(), F)
+    assert grid.unit == "" and "do not say how far apart their pixels are" in grid.notes[0]
 
 
 def test_twelve_bits_of_sixteen_have_a_sign_of_their_own(tmp_path: Path) -> None:

@@ -165,6 +165,17 @@ def test_metaimage_lies_as_itk_says(tmp_path: Path, msb: bool) -> None:
     np.testing.assert_allclose(grid.affine.array[:, :3], np.diag([-1, -1, 1]) @ turn)
 
 
+@pytest.mark.parametrize("pack", [bytes, gzip.compress, bz2.compress])
+def test_voxels_at_the_end_of_a_file_are_found(tmp_path: Path, pack: Any) -> None:
+    """HeaderSize = -1: whatever is before them, and also if they are packed."""
+    text = META.format(msb=False, data="f.raw").replace(
+        "ElementType", "HeaderSize = -1\nElementType"
+    )
+    (tmp_path / "f.mhd").write_text(text)
+    (tmp_path / "f.raw").write_bytes(pack(b"a header of its own" + F.astype("<i2").tobytes()))
+    check(open_file(tmp_path / "f.mhd", {}))
+
+
 def isq() -> bytes:
     """A scan of Scanco's, with a block between header and voxels."""
     head = bytearray(1024)
@@ -305,6 +316,31 @@ def test_cubes_of_fits(tmp_path: Path) -> None:
         assert grid.affine is not None and grid.affine.matrix[2][2] == -1.5
     (tmp_path / "sky.fits").write_bytes(fits(CTYPE1="'RA---TAN'", **places))
     assert "cubes, as its axes are RA---TAN" in open_file(tmp_path / "sky.fits", {}).notes[0]
+
+
+@pytest.mark.parametrize("scaled", [{}, {"BSCALE": 0.5}, {"BZERO": 32768}])
+@pytest.mark.parametrize("blank", [0, int(F.max())])
+def test_blanks_of_fits_are_holes(tmp_path: Path, scaled: dict[str, Any], blank: int) -> None:
+    """Also if they are 0, and in whole numbers without a sign."""
+    pytest.importorskip("astropy")
+    (tmp_path / "f.fits").write_bytes(fits(BLANK=blank, **scaled))
+    values = scaled.get("BSCALE", 1) * F.astype(np.float64) + scaled.get("BZERO", 0)
+    expected = np.where(blank == F, np.nan, values)
+    np.testing.assert_array_equal(open_file(tmp_path / "f.fits", {}).whole(), expected)
+
+
+@pytest.mark.parametrize(("bits", "zero", "kind"), [(16, 32768, np.uint16), (8, -128, np.int8)])
+def test_fits_of_the_other_sign_stays_whole(
+    tmp_path: Path, bits: int, zero: int, kind: type[np.integer[Any]]
+) -> None:
+    pytest.importorskip("astropy")
+    stored = (F % 256).astype(f">i{bits // 8}" if bits > 8 else np.uint8)
+    sizes = {"NAXIS1": NX, "NAXIS2": NY, "NAXIS3": NZ}
+    head = cards(SIMPLE=True, BITPIX=bits, NAXIS=3, **sizes, BZERO=zero)
+    (tmp_path / "f.fits").write_bytes(head + stored.tobytes() + bytes(-stored.nbytes % 2880))
+    grid = open_file(tmp_path / "f.fits", {})
+    assert grid.dtype == kind
+    np.testing.assert_array_equal(grid.whole(), stored.astype(np.int64) + zero)
 
 
 def test_bytes_of_fits_have_no_sign(tmp_path: Path) -> None:

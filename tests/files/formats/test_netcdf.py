@@ -97,6 +97,16 @@ def test_one_of_several_fields_is_to_be_chosen(tmp_path: Path) -> None:
         open_file(tmp_path / "f.nc", {"part": "u"})
 
 
+def test_axes_of_time_alone_are_layers_and_rows(tmp_path: Path) -> None:
+    with pytest.importorskip("scipy.io").netcdf_file(tmp_path / "f.nc", "w") as file:
+        for name, length in zip(("year", "month", "lon"), F.shape, strict=True):
+            file.createDimension(name, length)
+        file.createVariable("v", "f4", ("year", "month", "lon"))[:] = F
+    grid = open_file(tmp_path / "f.nc", {})
+    np.testing.assert_array_equal(grid.whole(), F)
+    assert grid.notes == ("Its planes are steps in time: they are shown as layers.",)
+
+
 def test_a_file_without_a_field_is_named(tmp_path: Path) -> None:
     with pytest.importorskip("h5py").File(tmp_path / "f.h5", "w") as file:
         file["mesh/points"] = np.zeros((5, 3))

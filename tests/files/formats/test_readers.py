@@ -170,6 +170,19 @@ def test_a_dataset_of_hdf5_is_named(tmp_path: Path, chunks: Any) -> None:
     check(tmp_path / "f.h5", F + 1, part="/entry/other", time=1)
 
 
+def test_datasets_that_end_alike_are_listed(tmp_path: Path) -> None:
+    path = tmp_path / "f.h5"
+    with pytest.importorskip("h5py").File(path, "w") as file:
+        for n, name in enumerate(("a/data", "b/data", "b/more")):
+            file[name] = F + n
+    with pytest.raises(VolumeError) as error:
+        opened(path, part="data")
+    assert f"several volumes 'data': choose of '{path}#a/data', '{path}#b/data'." in str(
+        error.value
+    )
+    check(path, F + 2, part="/more")
+
+
 def test_netcdf_coordinates_packing_and_fill_values(tmp_path: Path) -> None:
     h5py = pytest.importorskip("h5py")
     with h5py.File(tmp_path / "f.nc", "w") as file:

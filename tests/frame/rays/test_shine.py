@@ -5,6 +5,7 @@ nothing shines.
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +16,9 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.picture_plan import PRESENT
 from isogi_core.frame.rays.pixel_rays import Paths
+from isogi_core.frame.rays.point_paths import HALVES
 from isogi_core.frame.rays.shine import cast_rays, paths_from
+from isogi_core.frame.rays.shine_light import ShineLight
 from isogi_core.model.material import DULL, Shine
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
@@ -142,6 +145,29 @@ def test_no_shine_is_the_diffuse_picture_to_the_bit(polished: Workbench) -> None
         )
         if shading in ("lambert", "vicinity"):
             assert without.radiance.tobytes() == polished.renderer.render(view).radiance.tobytes()
+
+
+def test_a_picture_names_the_rays_that_it_shows(
+    polished: Workbench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And not those that another thread casts while it is drawn."""
+    view = polished.view(size=SIZE, shine=Shine("metal", 0.25))
+    drawn = []
+    put = ShineLight.put
+
+    def overtaken(shine: ShineLight, *given: Any) -> None:
+        put(shine, *given)
+        rows = np.arange(len(shine.gbuffer.points))
+        shine.sums = shine.sums.joined(rows, np.ones((len(rows), HALVES, 3)), 8)
+        drawn.append(shine)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(ShineLight, "put", overtaken)
+        frame = polished.renderer.render(view)
+    (shine,) = drawn
+    assert shine.count == 8 and not shine.is_shown(frame)
+    assert shine.is_shown(polished.renderer.render(view))
+    polished.renderer.forget_views()
 
 
 def test_shine_is_left_out_where_nothing_shines(polished: Workbench) -> None:

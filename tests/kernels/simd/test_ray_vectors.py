@@ -278,12 +278,15 @@ def test_scatter_writes_where_the_mask_is_set():
 
 def test_width_follows_the_processor(monkeypatch):
     monkeypatch.setattr(config, "DISABLE_JIT", 0)
+    monkeypatch.setattr(types.llvm, "get_host_cpu_name", lambda: "haswell")
     for name, features, width in (
         ("skylake-avx512", None, 16),
         ("haswell", None, 8),
         ("generic", None, None),
         ("generic", "+sse2,+avx2", 8),
         ("generic", "+avx512f,+avx2", 16),
+        (None, "+avx2", 8),
+        (None, "", 8),
     ):
         monkeypatch.setattr(config, "CPU_NAME", name)
         monkeypatch.setattr(config, "CPU_FEATURES", features)

@@ -1,5 +1,6 @@
 """Fields that repeat: closed across the faces of their cell, side by side, for any lattice."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -73,6 +74,17 @@ def test_a_straight_cell_is_not_interpolated() -> None:
     assert box is not None
     tiled = np.pad(np.tile(straight.whole(), (3, 1, 2)), ((1, 2), (0, 0), (1, 2)), mode="wrap")
     np.testing.assert_array_equal(box.whole(), tiled)
+
+
+@pytest.mark.parametrize("hole", [np.nan, np.inf])
+def test_a_hole_of_an_oblique_cell_grows_by_no_voxel(hole: float) -> None:
+    voxels = np.ones((4, 5, 6), np.float32)
+    voxels[0, 2, 2] = hole
+    oblique = Affine.of([[1.0, 0.0, 0.5, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]])
+    box = set_side_by_side(replace(Grid.of(voxels), affine=oblique), Cells(EVERY))
+    assert box is not None
+    expected = np.pad(voxels[0], (0, 1), mode="wrap")
+    np.testing.assert_array_equal(box.whole()[0], expected, "layer 0 is not moved")
 
 
 def test_a_cell_oblique_to_an_axis_that_ends_is_no_box() -> None:

@@ -3,6 +3,7 @@
 import asyncio
 import json
 from collections.abc import AsyncGenerator, Iterator
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 import httpx
 import pytest
 
-from isogi_server.api.routes.events import answers
+from isogi_server.api.routes.events import answers, events_of
 from tests.live import serving
 
 PATH = "/v1/scenes/small/events"
@@ -82,6 +83,45 @@ def test_progress_tells_the_time_left(
     assert all(each["waiting"] >= 0 for each in told)
     left = [each["time_left"] for each in told if each["time_left"]]
     assert all(0.0 <= each["low"] <= each["likely"] <= each["high"] for each in left)
+
+
+def frame_of(final: bool) -> Any:
+    """A picture at one version, final or still coming, as a service shows it."""
+    frame = SimpleNamespace(final=final, version="one")
+    place = SimpleNamespace(leave=lambda: None)
+    return SimpleNamespace(frame=frame, coming=not final, place=place)
+
+
+async def ids_told(seen: str, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The kinds and ids of events on a picture that becomes final at the same version, by measuring
+    alone.
+    """
+    monkeypatch.setattr("isogi_server.api.routes.events.coverage", lambda _: {})
+
+    async def refinements(order: Any, viewer: Any) -> AsyncGenerator[Any, None]:
+        yield frame_of(final=False)
+        yield frame_of(final=True)
+
+    place = SimpleNamespace(check=lambda: None)
+    service: Any = SimpleNamespace(
+        refinements=refinements,
+        connections=SimpleNamespace(admitted=lambda _: nullcontext(place)),
+        engine=SimpleNamespace(unfinished=lambda *_: None),
+        leave=lambda _: None,
+    )
+    picture: Any = SimpleNamespace(scene=None, goal=None)
+    viewer: Any = None
+    told = [each.decode() async for each in events_of(service, picture, seen, viewer, "a client")]
+    fields = [dict(line.split(": ", 1) for line in each.strip().splitlines()) for each in told]
+    return [f"{each['event']} {each['id']}" for each in fields]
+
+
+async def test_a_client_that_comes_back_hears_final(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also if measuring alone has made the picture final, at the version that it knows."""
+    refined, final = await ids_told("", monkeypatch)
+    assert (refined.split()[0], final.split()[0]) == ("refined", "final")
+    assert await ids_told(refined.split()[1], monkeypatch) == [final]
+    assert await ids_told(final.split()[1], monkeypatch) == [refined]
 
 
 def test_a_path_traced_view_ends_with_its_samples(client: httpx.Client) -> None:

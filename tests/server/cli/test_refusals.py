@@ -180,6 +180,15 @@ def test_a_variable_that_is_wrong_is_told_without_its_secret(
     assert words in said and "hunter2" not in said
 
 
+def test_a_file_is_not_blamed_for_a_variable(
+    told: Told, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "isogi-server.toml").write_text("port = 8123")
+    monkeypatch.setenv("ISOGI_SHARP_MB", "5")
+    said = told("serve", "--config", tmp_path / "isogi-server.toml", status=2)
+    assert "ISOGI_SHARP_MB: sharp_mb is called" in said and ".toml" not in said
+
+
 def test_a_port_in_use_is_a_failure(told: Told, small_scene: Path, live_server: str) -> None:
     port = live_server.rpartition(":")[2]
     said = told("serve", small_scene, "--port", port, status=1)

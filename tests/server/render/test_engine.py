@@ -33,15 +33,16 @@ from isogi_core.kernels.transport.lights import project_lamps
 from isogi_core.kernels.transport.transfer import measure_distances
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
+from isogi_core.prepared.prepared_scene import Index
 from isogi_core.prepared.shared_scenes import SharedScene
 from isogi_core.storage import folder
 from isogi_core.storage.backend import StoreUrl
 from isogi_server.cli.render import draw_refined
 from isogi_server.render.engine import RenderEngine
-from isogi_server.render.picture_checks import CHECK, LIGHT_PATIENCE_SECONDS
+from isogi_server.render.picture_checks import CHECK, LIGHT_PATIENCE_SECONDS, Picture
 from isogi_server.render.stores import StoreProbe, whereabouts
 from isogi_worker import pool
-from isogi_worker.bake_requests import GUEST_VIEWER
+from isogi_worker.bake_requests import GUEST_VIEWER, Viewer
 from isogi_worker.errors import WorkersAwayError, WorkersError
 from tests.scale import COMPILED
 from tests.server.buckets import Begin
@@ -127,6 +128,27 @@ def test_asking_again_and_again_is_enough(begin: Begin) -> None:
     engine = begin()
     assert wait_for(lambda: not look(engine).provisional, LONG)
     assert not look(engine).demands
+
+
+def test_a_view_at_rest_is_baked_if_a_moving_one_is_given_up(
+    begin: Begin, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """While nobody waits."""
+    engine = begin()
+    request = engine.baker.request
+    given_up = []
+
+    def refused_once(bake: str, demands: Any, goal: Goal, viewer: Viewer) -> frozenset[Index]:
+        if given_up:
+            return request(bake, demands, goal, viewer)
+        given_up.append(bake)
+        return frozenset()
+
+    monkeypatch.setattr(engine.baker, "request", refused_once)
+    (scene,) = engine.scenes.values()
+    lit = Picture(scene.id, view_of(scene), Goal.checked(0.3))
+    bake = engine._bake_lacking(lit)
+    assert given_up and bake is not None and bake.coming
 
 
 def test_a_picture_is_measured_early_only_if_light_takes_long(

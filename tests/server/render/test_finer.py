@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from isogi_core.bake.noise import Goal
+from isogi_core.cache.costs import Cost
 from isogi_core.cache.upkeep import census_of
 from isogi_core.errors import NoRoomError
 from isogi_core.frame.frame import Frame
@@ -20,6 +21,7 @@ from isogi_core.plan.variants import finer
 from isogi_server.api.headers import refined_header
 from isogi_server.render.engine import RenderEngine
 from isogi_worker.bake_requests import GUEST_VIEWER
+from isogi_worker.progress import TimeLeft
 from tests.server.inline import LONG, weigh_at
 from tests.server.inline import view_of as small_view_of
 
@@ -82,6 +84,29 @@ def test_what_is_coming_is_asked_for_and_not_shown(engine: RenderEngine, scene: 
     )
     assert frame.measured.low > goal.error
     assert engine.want(scene.id, frame, goal, GUEST_VIEWER) == {demand.index for demand in demands}
+
+
+def test_paths_are_priced_by_the_texels_that_are_shown(
+    engine: RenderEngine, scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A chunk of finer texels is another place than one of the same number of coarse ones."""
+    view = view_of(scene)
+    goal = Goal.checked(scene.target_error)
+    shown = engine.survey(scene.id, view, goal)
+    coming = replace(shown, quality=replace(shown.quality, fineness=1))
+    frame = replace(shown, quality=replace(shown.quality, finer=coming))
+    asked = []
+
+    def spent(bake: str, chunks: Any) -> Cost:
+        asked.append((bake, tuple(chunks)))
+        return Cost(1.0, 100)
+
+    monkeypatch.setattr(engine.baker, "spent", spent)
+    monkeypatch.setattr(engine.baker, "time_left", lambda *_: TimeLeft(1.0, 2.0, 3.0))
+    lacks = engine.unfinished(scene.id, frame, goal)
+    assert lacks.bake != engine.bake_of(scene.id, view)
+    assert engine.time_without(lacks) is not None
+    assert asked == [(engine.bake_of(scene.id, view), lacks.read)] and lacks.read
 
 
 def test_without_room_for_them_pixels_get_light_of_their_own(

@@ -172,6 +172,18 @@ def test_codes_that_no_surface_shows_are_zero(tmp_path: Path) -> None:
     assert (sent == 0).mean() > 0.5
 
 
+def test_codes_by_other_voxels_have_another_version(tmp_path: Path) -> None:
+    """By a version an answer is kept for ever, and voxels decide which codes are 0."""
+    scene = by_gradient(tmp_path)
+    voxels = np.roll(scene.volume.voxels, 3, axis=0)
+    moved = replace(scene, volume=replace(scene.volume, voxels=voxels, digest="of those moved"))
+    one, other = ColourCodes.of(scene), ColourCodes.of(moved)
+    assert one is not None and other is not None
+    depth = len(voxels)
+    assert (one.layers(0, depth) != other.layers(0, depth)).any()
+    assert one.version != other.version
+
+
 def test_the_table_of_labels_is_short(make_bench: Make, tmp_path: Path) -> None:
     bench = make_bench(by_labels(tmp_path, lights=[CONSTANT]))
     found = card_scene(bench.renderer, bench.view(), ()).colours

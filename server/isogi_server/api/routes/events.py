@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import hashlib
 import json
 from collections.abc import AsyncGenerator, Hashable
 from contextlib import aclosing, suppress
@@ -38,7 +39,7 @@ EVENTS_DESCRIPTION = (
     "Events. refined: what /coverage answers, each time that the frame has become better; "
     "progress: chunks that are"
     " still to be baked and the time left, once a second; final or failed: the end. An id "
-    "names the frame's light: a"
+    "names the frame's light and state: a"
     " client that comes back with it in Last-Event-ID gets only what is new."
 )
 ANSWERS: dict[int | str, dict[str, Any]] = {
@@ -99,8 +100,8 @@ TIME_LEFT_SECONDS = 1.0
 async def events_of(
     service: Service, picture: PictureRequest, seen: str, viewer: Viewer, client: Hashable
 ) -> AsyncGenerator[bytes, None]:
-    """Yield events of a picture until it is final or has failed; none if it is final at the version
-    ``seen``.
+    """Yield events of a picture until it is final or has failed, without those with the id
+    ``seen``; none if that told that it is final.
 
     Its light is baked while the ``client`` listens. Raises BusyError if too many clients do, and
     StoreError.
@@ -119,12 +120,12 @@ async def events_of(
                         service.engine.unfinished, picture.scene, shown.frame, picture.goal
                     )
                     kind, facts = event_of(service, shown, viewer)
-                    version = shown.frame.version
+                    name = id_of(kind, shown.frame.version)
                     # Free megabytes while the client listens and light is baked.
                     shown.place.leave()
                     del shown
-                    if kind == "failed" or version != seen:
-                        yield event(kind, facts, version)
+                    if kind == "failed" or name != seen:
+                        yield event(kind, facts, name)
         finally:
             service.leave(viewer)
 
@@ -170,9 +171,18 @@ async def answers(
                     await asyncio.wait({coming})
 
 
-def event(kind: str, data: dict[str, Any], version: str | None = None) -> bytes:
-    """Encode an event; its id is the ``version`` of the frame that it reports."""
-    return format_sse_event(data_str=json.dumps(data), event=kind, id=version)
+def id_of(kind: str, version: str) -> str:
+    """Return the id of an event of this kind on a frame of this version.
+
+    Measuring alone can make a picture final, at the version that "refined" has told before: the id
+    names both. It is a digest, as versions grow with the walls, and the header is limited.
+    """
+    return hashlib.blake2b(f"{kind} {version}".encode(), digest_size=16).hexdigest()
+
+
+def event(kind: str, data: dict[str, Any], name: str | None = None) -> bytes:
+    """Encode an event with the id ``name``."""
+    return format_sse_event(data_str=json.dumps(data), event=kind, id=name)
 
 
 def coverage(shown: Shown) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 from fastapi import WebSocket
+from starlette.responses import Response
 from starlette.websockets import WebSocketDisconnect
 
 from isogi_server.api import connections
@@ -112,6 +113,16 @@ def test_who_does_not_take_an_answer_is_closed(server: Running) -> None:
         assert wait_for(lambda: server.closed("answer") == 1)
         assert len(answer(client)) < LARGE
     assert wait_for(lambda: server.held() == 0)
+
+
+def test_who_neither_sends_nor_takes_is_given_up_once() -> None:
+    """Its request was answered before all of its body had come."""
+    app = small_app()
+    app.add_api_route("/large", lambda: Response(bytes(LARGE)), methods=["POST"])
+    with running(app, body_seconds=1, stall_seconds=2) as server:
+        with server.connect(POST.replace(b"small", b"large")):
+            assert wait_for(lambda: server.closed("answer") == 1 and server.held() == 0)
+        assert server.closed("body") == 1
 
 
 def test_who_takes_it_slowly_but_surely_gets_all_of_it(server: Running) -> None:
