@@ -376,9 +376,12 @@ class Service:
         patience = REST_PATIENCE
         clock = asyncio.get_running_loop().time
         begun = clock()
-        # Yield a preview if kernels of light are still being compiled, and wait for them.
+        # Yield a preview if kernels of light are still being compiled, and wait for them. It lacks
+        # no light of its own, but the picture comes.
         if not self.startup.lit.is_set():
-            yield await self.show(picture, viewer, self.rank(viewer, patience))
+            preview = await self.show(picture, viewer, self.rank(viewer, patience))
+            yield replace(preview, coming=preview.coming or frozenset({CHECK}))
+            del preview
             await self.startup.lit.wait()
         await self._ask_ahead(picture, viewer)
         while True:

@@ -30,6 +30,7 @@ from isogi_server.api import service as service_module
 from isogi_server.api.app import create_app
 from isogi_server.api.lifespan import Startup
 from isogi_server.api.routes import frames as frames_module
+from isogi_server.api.routes.events import event_of
 from isogi_server.api.routes.frames import InTurn
 from isogi_server.api.routes.scenes import scene_facts
 from isogi_server.api.service import Service
@@ -579,6 +580,18 @@ async def test_no_place_is_held_while_light_is_baked(
         place.leave()
         waiting.cancel()
         await asyncio.wait({waiting})
+
+
+async def test_a_preview_tells_that_the_picture_is_coming(app: FastAPI) -> None:
+    """While kernels are compiled, nothing is baked: clients must not take that for a failure."""
+    service = app.state.service
+    await service.start()
+    service.startup.lit.clear()
+    picture = service.picture_of(service.engine.scenes["orbital"], ViewParams(width=4, height=4))
+    async with aclosing(service.refinements(picture, Viewer("a"))) as refinements:
+        preview = await anext(refinements)
+        assert not preview.frame.final and preview.coming
+        assert event_of(service, preview, Viewer("a"))[0] == "refined"
 
 
 async def leave(app: FastAPI, begun: threading.Event, wait_ms: int = 0) -> None:
