@@ -121,11 +121,13 @@ class Journal:
             return None
 
     def keep(self, key: str, entry: Entry) -> None:
-        """Write a section to the journal."""
+        """Write a section, which ``find`` did not find under this ``key``, to the journal: its
+        pixels to a file KEY.npz, all else to KEY.json.
+        """
         pixels = io.BytesIO()
         np.savez_compressed(pixels, *(picture.pixels for picture in entry.section.pictures))
-        # Write the pixels first: ``find`` needs the JSON file, and refuses one of other code. If
-        # the process ends in between, it finds no section, and not one without its pixels.
+        # Write the JSON file last: ``find`` needs it, so it never finds a new section without its
+        # pixels. If a former JSON file is there, it is of other code, and ``find`` refuses it.
         write_whole(self.folder / f"{key}.npz", pixels.getvalue())
         document = {
             "code": self.code,
