@@ -178,9 +178,14 @@ class Facts:
 
     @classmethod
     def of_headers(cls, headers: Mapping[str, str]) -> Self:
-        """Read the facts in a frame's headers."""
+        """Read the facts in a frame's ``headers``, whose names are in lower case or ignore case.
+
+        Raises KeyError if a header is missing that every frame has.
+        """
         left = numbers(headers.get("isogi-time-left", ""))
         surface = headers.get("isogi-surface")
+        # Bring stages such as ``draw;dur=3.10`` to the form ``draw=3.10``.
+        timing = numbers(headers.get("server-timing", "").replace(";dur=", "="))
         return cls(
             provisional=headers["isogi-provisional"] == "?1",
             coverage=numbers(headers["isogi-coverage"]),
@@ -188,7 +193,7 @@ class Facts:
             chunks={name: int(count) for name, count in numbers(headers["isogi-chunks"]).items()},
             time_left=TimeLeft(**left) if left else None,
             etag=headers.get("etag"),
-            timing=numbers(headers.get("server-timing", "").replace(";dur", "")),
+            timing=timing,
             surface=None if surface is None else int(surface),
             overdue=headers.get("isogi-overdue") == "?1",
         )
@@ -525,7 +530,10 @@ class Bar:
 @dataclass(frozen=True)
 class Event:
     """An event of a view: its ``kind`` (refined, progress, final or failed),
-    its document ``data``, and an ``id`` that names the frame's light and state.
+    its document ``data``, and an ``id``.
+
+    The ``id`` names the picture that was reported last on the connection, by this event or an
+    earlier one, and the kind of that event; it is empty before that.
     """
 
     kind: str
@@ -596,7 +604,11 @@ class Job:
         return self.summary()
 
     def end(self, progress: Callable[[Progress], object] | None = None) -> None:
-        """Wait as ``wait`` does, but return nothing: for jobs without a summary."""
+        """Wait until the job has ended, and return nothing: for jobs without a summary.
+
+        ``progress`` is called each time that the server is asked, about once a second, and once
+        when the job has ended. Raises JobError if the job failed or was dismissed.
+        """
         while not (now := self.progress()).over:
             if progress is not None:
                 progress(now)
@@ -611,7 +623,9 @@ class Job:
         return self._isogi._json("GET", f"{self._path}/results")
 
     def dismiss(self) -> None:
-        """End the job. Light that it has baked stays."""
+        """Have the server stop the job, or forget it if it has ended. Light that it has baked
+        stays.
+        """
         self._isogi._ask("DELETE", self._path)
 
     @property
@@ -1031,8 +1045,10 @@ class Isogi:
             time.sleep(FIRST_RETRY_PAUSE)
 
     def _connection(self, path: str, asked: Mapping[str, str], last: str) -> Iterator[Event]:
-        """Yield the events of one connection until it ends or breaks,
-        without those on the frame with the id ``last``, if that is given.
+        """Yield the events of one connection until it ends or breaks.
+
+        ``last`` is the id of the last event that came before, empty if none came. The server is
+        asked to leave out events on the picture with this id.
         """
         headers = {"Accept": "text/event-stream"}
         if last:
@@ -1049,7 +1065,7 @@ class Isogi:
                     if event.data:
                         yield Event(event.event, read_json(event.data), event.id)
             except (*CONNECTION_ERRORS, httpx.ReadTimeout):
-                # The caller opens another connection, and names the frame of the last event.
+                # The caller opens another connection, with the id of the last event.
                 return
 
     def _frame(self, path: str, asked: Mapping[str, str]) -> Frame:

@@ -217,16 +217,21 @@ class Viewer(anywidget.AnyWidget):
         return frame
 
     def _answer(self, asked: dict[str, Any]) -> None:
-        """Answer a request of the page with the server's bytes, or with its error."""
+        """Answer a request of the page with the server's bytes, or with its error.
+
+        A request is ``asked`` by a ``path`` and a ``number``, which the answer repeats, so that the
+        page finds the request that it belongs to.
+        """
         number = asked["number"]
         path = asked["path"]
-        # Modules of the page lie at the top, all else belongs to the scene.
+        # Files of the server's page have addresses under web/; all other paths are relative to the
+        # scene's address.
         if path.startswith("web/"):
-            place = path
+            address = path
         else:
-            place = f"{scene_path(self._scene)}/{path}"
+            address = f"{scene_path(self._scene)}/{path}"
         try:
-            self.send({"number": number}, [self._isogi.read(place)])
+            self.send({"number": number}, [self._isogi.read(address)])
         except (IsogiError, RuntimeError) as error:
             status = getattr(error, "status", None) or 503
             self.send({"number": number, "status": status, "detail": str(error)})

@@ -263,8 +263,11 @@ class Bench:
         return whole_paths(self.scene)
 
     def renderer(self, scene: Scene) -> Renderer:
-        """Return a renderer of ``scene``. Its store in the folder stays without light."""
-        # Light is put into the page pool directly; nothing is written to this store.
+        """Return the renderer of ``scene``, the scene of the bench or a variation of it, made on
+        first use. Its pictures show the light of texels unfiltered.
+        """
+        # Caches need a store. This one stays without light: light is put into the page pool
+        # directly.
         store = self.folder / "light" / scene.digest
 
         def make() -> Renderer:
@@ -272,6 +275,8 @@ class Bench:
                 Caches(PreparedScene(scene), store, BENCH_CACHE_BYTES), self.tiles, filters=False
             )
 
+        # Paths of references depend on bounces and survival, which the digest leaves out if texels
+        # keep no reflected light.
         return self.once(("renderer", scene.digest, scene.bounces, scene.plan.survival), make)
 
     @cached_property

@@ -90,10 +90,12 @@ def report_of(
 ) -> dict[str, Any]:
     """Measure a view and write its page; return the summary.
 
-    ``begun``, a time of ``time.monotonic``, is when the time of the report began. Raises the errors
-    of ``report``, and ViewError if the view shows nothing.
+    The deadline of the ``request`` counts from ``begun``, a time of ``time.monotonic`` in seconds.
+    Raises the errors of ``report``, ParameterError for an unknown study, and ViewError if the view
+    shows nothing.
     """
-    from isogi_report.bench import Bench  # noqa: PLC0415 (kernels: bad input is refused before they are compiled)
+    # These modules load kernels. They are imported only now, as most bad input has been refused.
+    from isogi_report.bench import Bench  # noqa: PLC0415
     from isogi_report.journal import (  # noqa: PLC0415
         Report,
         open_journal,
@@ -115,10 +117,12 @@ def report_of(
     on = bench.surface
     with open_journal(request.folder, subject_of(scene, view, exposure)) as journal:
         measured = measure(STUDIES, wanted, bench, journal)
-        drawn = Report(
+        found = Report(
             scene, view, exposure, on, measured.done, tuple(notes(measured, request.deadline))
         )
-        return outcome(write_report(request.folder, drawn), drawn, measured)
+        # Write the page before the journal is closed, so that no other report writes meanwhile.
+        page = write_report(request.folder, found)
+        return outcome(page, found, measured)
 
 
 def chosen_studies(studies: Sequence[Study], only: Sequence[str]) -> tuple[Study, ...]:

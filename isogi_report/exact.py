@@ -20,7 +20,7 @@ from isogi_report.bench import Bake, Bench, ViewBake
 from isogi_report.metrics import luminance_of
 
 OUTSIDE_LATTICE = -1
-"""Lattice index of points that are not texels: it only selects their random numbers."""
+"""Lattice index along z and y of points that are not texels: no texel has it."""
 
 POINTS_A_PIECE = 64
 """Points that one thread lights in one call."""
@@ -141,9 +141,14 @@ def straight_light(bench: Bench) -> np.ndarray:
 def bake_place(
     pixels: np.ndarray, points: np.ndarray, normals: np.ndarray, isovalue: Isovalue
 ) -> Place:
-    """Return the points (m, 3) of a picture's ``pixels``
-    in the form in which a bake takes texels.
+    """Return the surface points of ``pixels`` (m,), picture indices, in the form in which a bake
+    takes texels, so that its paths start exactly there. Nothing is baked here.
+
+    ``points`` (m, 3) are in index space, ``normals`` (m, 3) are outward unit world vectors; all
+    points lie on one surface, at the ``isovalue``.
     """
+    # A bake reads the lattice indices (z, y, x) of texels only to seed their random numbers. Give
+    # each pixel a seed that no texel has.
     numbers = np.full((len(pixels), 3), OUTSIDE_LATTICE, np.int32)
     numbers[:, 2] = pixels
     here, outward = (np.ascontiguousarray(each.T, np.float64) for each in (points, normals))

@@ -125,7 +125,9 @@ class Journal:
             return None
 
     def keep(self, key: str, entry: Entry) -> None:
-        """Write a section to the journal."""
+        """Write a section, which ``find`` did not find under this ``key``, to the journal: its
+        pixels to a file KEY.npz, all else to KEY.json.
+        """
         file = io.BytesIO()
         np.savez_compressed(file, *(picture.pixels for picture in entry.section.pictures))
         pixels = file.getvalue()

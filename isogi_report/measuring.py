@@ -13,10 +13,20 @@ from typing import Self
 from tqdm import tqdm
 
 from isogi_core.errors import Cancelled
-from isogi_report import studies
 from isogi_report.bench import Bench
 from isogi_report.journal import Entry, Journal
 from isogi_report.sections import Section
+from isogi_report.studies import (
+    CONVERGENCE_KEY,
+    CONVERGENCE_TITLE,
+    SPLIT_KEY,
+    SPLIT_TITLE,
+    SUMMARY_KEY,
+    SUMMARY_TITLE,
+    study_convergence,
+    study_split,
+    study_summary,
+)
 from isogi_server.clocks import ticking
 from isogi_server.progress import WEIGHTED_BAR_FORMAT
 
@@ -42,9 +52,9 @@ class Study:
 
 
 STUDIES = (
-    Study(studies.SUMMARY_KEY, studies.SUMMARY_TITLE, studies.study_summary, 0.25),
-    Study(studies.SPLIT_KEY, studies.SPLIT_TITLE, studies.study_split, 0.25),
-    Study(studies.CONVERGENCE_KEY, studies.CONVERGENCE_TITLE, studies.study_convergence, 0.5),
+    Study(SUMMARY_KEY, SUMMARY_TITLE, study_summary, 0.25),
+    Study(SPLIT_KEY, SPLIT_TITLE, study_split, 0.25),
+    Study(CONVERGENCE_KEY, CONVERGENCE_TITLE, study_convergence, 0.5),
 )
 """All studies, the most important first. Things that one study makes,
 such as the reference, are on the bench for the next.
@@ -56,8 +66,8 @@ class Measured:
     """The outcome of all studies.
 
     - ``done``: entries, in the order of the studies; ``found`` of them were in the journal.
-    - ``late``: studies for which there was no time.
-    - ``unasked``: studies that were not requested.
+    - ``late``: wanted studies without an entry, as the time was over or a person stopped the work.
+    - ``unasked``: studies without an entry that were not wanted.
     - ``failed``: studies that raised an error, with its text.
     - ``hurried``: studies that are done, but measured less for lack of time.
     - ``stopped``: True if a person stopped the work before its end.
@@ -75,11 +85,12 @@ class Measured:
 def measure(
     studies: Sequence[Study], wanted: Sequence[Study], bench: Bench, journal: Journal
 ) -> Measured:
-    """Run those of the ``wanted`` studies that the journal lacks, until the deadline of ``bench``
-    or Ctrl-C.
+    """Return the entries of all ``studies`` that the journal has, and run those of the ``wanted``
+    ones that it lacks, until the deadline of ``bench`` or Ctrl-C.
 
-    A study that measured less for lack of time is shown but not kept. A study that fails is
-    reported, and the next ones are run.
+    A new entry is kept in the journal, unless its study measured less for lack of time: it is then
+    only returned, and measured again by the next report. If a study fails, its error is returned,
+    and the next ones are run.
     """
     done = {study.key: entry for study in studies if (entry := journal.find(study.key)) is not None}
     found = len(done)
@@ -91,6 +102,7 @@ def measure(
         for study, result in run_each(
             [each for each in wanted if each.key not in done], bench, bar
         ):
+            # The text of an error comes in place of an entry.
             if isinstance(result, str):
                 failed.append((study, result))
                 continue
@@ -100,9 +112,9 @@ def measure(
                 hurried.append(study)
             else:
                 journal.keep(study.key, result)
-    # Sort the studies that have no result.
-    known = {*done, *(study.key for study, _ in failed)}
-    missing = [study for study in studies if study.key not in known]
+    # Sort the studies that have neither an entry nor an error.
+    tried = {*done, *(study.key for study, _ in failed)}
+    missing = [study for study in studies if study.key not in tried]
     late = tuple(study for study in missing if study in wanted)
     unasked = tuple(study for study in missing if study not in wanted)
     ordered = tuple(done[study.key] for study in studies if study.key in done)

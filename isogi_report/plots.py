@@ -142,9 +142,12 @@ def inline_svg(svg: str) -> str:
 
 
 def fill(axes: Axes, plot: Plot) -> None:
-    """Draw the curves and their axes."""
+    """Draw the curves of a ``plot`` on ``axes``, and make these logarithmic, with units at their
+    ticks. Backgrounds of axes and figure become transparent, so that the page shows behind.
+    """
     for i, curve in enumerate(plot.curves):
         x, y = drawable(curve)
+        # matplotlib takes dashes with the length, 0, by which they are shifted along the line.
         style = (0, dashes_of(i)) if dashes_of(i) else "solid"
         axes.plot(
             x, y, color=colour_of(i), linestyle=style, linewidth=1.5, marker="o", markersize=3.2

@@ -379,11 +379,12 @@ def expected_samples(
     samples: np.ndarray,
     goal: Goal,
 ) -> np.ndarray:
-    """Return the samples that texels of each of ``count`` chunks will take to a ``goal``, (count,)
-    float64.
+    """Predict the samples after which texels are good enough for a ``goal``, summed over each of
+    ``count`` chunks; (count,) float64. Samples that texels have already are included.
 
-    Lit texels have this ``error`` after ``samples``. Unlit ones are expected to take as many as the
-    others of their chunk; 0 if all are unlit.
+    ``chunks`` holds each texel's chunk. Lit texels have this relative ``error`` after ``samples``;
+    all three are (texels,). Each other texel, void ones too, counts as the mean of the lit ones of
+    its chunk. A chunk without lit texels has 0.
     """
     lit = samples > 0
     needed = samples_needed(error[lit], samples[lit], goal)

@@ -33,6 +33,10 @@ CLAIMS_FOLDER = "claims"
 """Folder of claims on chunks."""
 
 CHUNK_KEY = re.compile(r"([0-9a-f]{20})/c/(\d+)/(\d+)/(\d+)/0")
+"""Key of a chunk: the digest of its layer, its z, y, x, and 0, as the fourth axis of the Zarr
+array, the bytes of a record, is not divided into chunks.
+"""
+
 LAYER_KEY = re.compile(r"([0-9a-f]{20})/zarr\.json")
 COST_KEY = re.compile(rf"{COSTS_FOLDER}/([0-9a-f]{{20}})/zarr\.json")
 STAMP_KEY = re.compile(rf"{STAMPS_FOLDER}/([0-9a-f]{{20}})")
@@ -98,8 +102,10 @@ class Inventory:
         return self.layers.setdefault(digest, LayerFiles(digest))
 
     def add(self, found: Entry) -> None:
-        """Sort in an object that was found in the store."""
-        # Quarantine comes first, as keys there contain those of other kinds.
+        """Sort in an object that was found in the store, by its key. Other objects of isogi's, see
+        OTHER_KEYS, are not noted.
+        """
+        # Quarantine comes first: an object there is never a leftover, whatever the end of its key.
         if found.key.startswith(f"{QUARANTINE_FOLDER}/"):
             self.quarantined.append(found)
         elif LEFTOVER_KEY.fullmatch(found.key):

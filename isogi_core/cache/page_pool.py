@@ -118,10 +118,11 @@ class PagePool:
         The system gives memory as they fill.
         """
         texels = spec.prepared.lattice.texels
-        # A page costs the bytes of its rows and of its part of the indirection table, which has 4
-        # bytes for each texel of a slot. The table has FEWEST_CHUNKS slots at least. With a small
-        # budget these are more than the parts of all pages together: then take off the bytes of the
-        # least table, and divide the rest among the rows of pages.
+        # The indirection table has a slot for each chunk, of 4 bytes for each texel, and at least
+        # FEWEST_CHUNKS slots. Divide the budget by the bytes of a page: its rows and its part of
+        # the table. If the budget is so small that FEWEST_CHUNKS slots take more than the parts of
+        # all these pages, fewer pages fit: take those slots off, and divide the rest by the bytes
+        # of a page's rows alone. The lesser number is right in both cases.
         least_table = FEWEST_CHUNKS * 4 * texels
         with_table = budget // page_bytes(spec)
         rows_alone = (budget - least_table) // (PAGE_TEXELS * row_bytes(spec))
@@ -271,9 +272,12 @@ class PagePool:
         return found
 
     def _allocate(self, pages: np.ndarray, keep: Collection[Index]) -> list[Entry]:
-        """Allocate entries of so many ``pages`` (chunks,) each.
+        """Reserve memory for several chunks, and return a new entry for each. The caller holds the
+        lock, and puts the entries into the pool.
 
-        If there are too few, drop the longest unused chunks but those in ``keep``.
+        ``pages`` (chunks,) are the numbers of pages that the chunks need. If too few pages or slots
+        are free, drop the longest unused chunks, but none that a frame holds and none in ``keep``.
+        Raises NoRoomError, and drops none, if that is not enough.
         """
         total = int(pages.sum())
         if not self._has_room(total, len(pages)):
@@ -327,8 +331,10 @@ class PagePool:
 
 
 def pages_of_sheet(lattice: Lattice) -> int:
-    """Return the pages that a chunk crossed by one surface takes at least;
-    the table has a slot for each such chunk.
+    """Return the number of pages that a chunk takes at least if one surface crosses it: it then has
+    a texel with light in about each of its rows along x, see ``Lattice.rows``.
+
+    The indirection table has a slot for each such chunk that may be in the pool.
     """
     return lattice.rows // PAGE_TEXELS
 

@@ -51,8 +51,10 @@ class Loader:
         """Load from ``chunk_store`` into ``pool``."""
         self.chunk_store = chunk_store
         self.pool = pool
+        # The times at which chunks were found absent; and a set for each thread that reads chunks
+        # now, of those that were refreshed since it began.
         self._absent: dict[Index, float] = {}
-        self._readers: list[set[Index]] = []
+        self._refreshed_sets: list[set[Index]] = []
         self._lock = threading.Lock()
 
     def ensure(self, chunks: Sequence[Index], check: Callable[[], object] = lambda: None) -> None:
@@ -90,25 +92,28 @@ class Loader:
         """
         with self._lock:
             self._absent.pop(index, None)
-            # Reads that are going on may have got the older light.
-            for refreshed in self._readers:
+            # Threads that are reading may have got the older light.
+            for refreshed in self._refreshed_sets:
                 refreshed.add(index)
         self.pool.outdate(index)
 
     @contextmanager
     def _reading(self) -> Iterator[set[Index]]:
-        """Yield a set that collects the chunks refreshed while the block reads.
+        """Yield a set to which ``refresh`` adds the chunks that change while the block reads.
 
         Those may have been read just before they changed, and must be read again.
         """
         refreshed = set[Index]()
         with self._lock:
-            self._readers.append(refreshed)
+            self._refreshed_sets.append(refreshed)
         try:
             yield refreshed
         finally:
             with self._lock:
-                self._readers = [each for each in self._readers if each is not refreshed]
+                # Sets are told apart by identity: those of two threads may be equal.
+                self._refreshed_sets = [
+                    each for each in self._refreshed_sets if each is not refreshed
+                ]
 
     def _is_due(self, index: Index) -> bool:
         """Return True if a chunk may be read:

@@ -155,15 +155,16 @@ def read_facts(store: Store, digest: str) -> LayerFacts:
 def _sound_samples(
     store: Store, facts: LayerFacts, digest: str, index: Index, key: str
 ) -> np.ndarray:
-    """Return the sample counts of a chunk's texels in an object, (texels,) int32. Raises
-    DamagedChunkError.
+    """Check the object ``key`` of the chunk ``index`` in a layer. Return the sample counts of the
+    chunk's texels, (texels,) int32: 0 if a texel has no light, VOID if it cannot hold any.
 
-    An object that was deleted meanwhile has none.
+    ``digest`` is the layer's. If the object was deleted after it was listed, all counts are 0.
+    Raises DamagedChunkError.
     """
     if not facts.holds(index):
         raise DamagedChunkError("there is no such place in its lattice")
     samples = np.zeros(facts.chunk_texels, np.int32)
-    # An object that was deleted meanwhile is not damaged.
+    # A deleted object is not damaged, and zeros contradict no other layer.
     stored = store.read(key)
     if stored is None:
         return samples
@@ -345,7 +346,7 @@ def texels_in(
     store: Store, count: Count, index: tuple[int, int, int]
 ) -> tuple[np.ndarray, Part] | None:
     """Return the offsets of a chunk's texels and their part of a layer:
-    none if the object is gone, None if it is damaged.
+    no texels if the object is gone, None if it is damaged or of another place.
     """
     facts = count.facts
     files = count.files

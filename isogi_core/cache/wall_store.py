@@ -120,18 +120,21 @@ class WallLayer(LayerStore):
         return means, counts
 
     def keep(self, planes: Planes) -> None:
-        """Write light, merged with the light in the store: each texel keeps that of more paths."""
+        """Write the light of ``planes``, merged with the light in the store: each texel keeps that
+        of more paths. Texels without paths are left out.
+        """
         means, counts = planes
         for index in np.ndindex(*self.chunks):
             block = tuple(slice(WALL_CHUNK_SIDE * i, WALL_CHUNK_SIDE * (i + 1)) for i in index)
-            sent = np.nonzero(counts[block])
-            if len(sent[0]):
-                part = Part.dark(self.layer, len(sent[0]))
-                # Both halves of a side took as many paths, and a part counts them together.
-                part.samples[:] = 2 * counts[block][sent]
-                part.coefficients[:, :, 0] = means[block][sent]
+            lit = np.nonzero(counts[block])
+            if len(lit[0]):
+                part = Part.dark(self.layer, len(lit[0]))
+                # A plane counts the paths of its half. The samples of a part are the paths of both
+                # halves, which are equal in number.
+                part.samples[:] = 2 * counts[block][lit]
+                part.coefficients[:, :, 0] = means[block][lit]
                 self.save(
-                    index, np.ravel_multi_index(sent, (WALL_CHUNK_SIDE,) * 3).astype(np.int32), part
+                    index, np.ravel_multi_index(lit, (WALL_CHUNK_SIDE,) * 3).astype(np.int32), part
                 )
 
 

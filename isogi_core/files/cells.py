@@ -84,7 +84,8 @@ def set_side_by_side(
     matrix, origin = _placed(grid, spacing)
     flipped = np.linalg.det(matrix) < 0.0
     if flipped:
-        # x is read the other way round, from the end of the last cell on
+        # Read x backwards, which makes the axes right-handed: from the last face of the last cell,
+        # or from the last voxel if x does not repeat.
         end = grid.shape[2] * cells.repeat[0] if cells.periodic[0] else grid.shape[2] - 1
         origin = origin + matrix[:, 0] * end
         matrix = matrix * np.array([-1.0, 1.0, 1.0])
@@ -141,26 +142,34 @@ def _placed(grid: Grid, spacing: tuple[float, ...] | None) -> tuple[np.ndarray, 
 
 
 def _moves(skewed: np.ndarray, shape: tuple[int, ...]) -> Vector:
-    """Return the numbers of voxels by which each row moves along x, and each layer along x and
-    along y; 0 if that is next to nothing over the whole ``shape``.
+    """Return three moves in voxels: of each row along x, of each layer along x, and of each layer
+    along y. A move is 0 if it adds up to at most MAX_SKEW_VOXELS over the whole ``shape``.
     """
     rows = skewed[0, 1] / skewed[0, 0]
     columns = skewed[0, 2] / skewed[0, 0]
     down = skewed[1, 2] / skewed[1, 1]
     farthest = np.abs([rows * shape[1], columns * shape[0], down * shape[0]])
-    x, y, z = np.where(farthest > MAX_SKEW_VOXELS, [rows, columns, down], 0.0).tolist()
-    return x, y, z
+    row_x, layer_x, layer_y = np.where(
+        farthest > MAX_SKEW_VOXELS, [rows, columns, down], 0.0
+    ).tolist()
+    return row_x, layer_x, layer_y
 
 
 def _layers(
     grid: Grid, cells: Cells, shape: tuple[int, ...], moves: Vector, flipped: bool
 ) -> Iterator[np.ndarray]:
-    """Yield the layers of the cells, (1, ny, nx) each."""
+    """Yield the layers of ``cells`` of a ``grid`` that lie on right angles, (1, ny, nx) each, of a
+    ``shape`` (z, y, x) with margins. ``moves`` are those of ``_moves``. If ``flipped``, x is read
+    backwards.
+    """
     whole = grid.whole()
     if flipped:
-        # of a field that repeats, voxel 0 is the one before which x ends
+        # If x repeats, the face after its last voxel is voxel 0 again: backwards, its voxels are
+        # 0, n - 1, …, 1. If it does not, they are n - 1, …, 0.
         turned = -np.arange(grid.shape[2]) - (0 if cells.periodic[0] else 1)
         whole = whole[..., turned % grid.shape[2]]
+    # Number voxels from the first one of the first cell: those in the margin before it are
+    # negative.
     k, j, i = (
         np.arange(n) - (cells.margin if p else 0)
         for n, p in zip(shape, cells.periodic[::-1], strict=True)
@@ -170,6 +179,7 @@ def _layers(
         if not any(moves):
             yield layer[np.ix_(j % layer.shape[0], i % layer.shape[1])][None]
             continue
+        # Undo the moves: find the row and column of the skewed grid, which may lie in another cell.
         rows = on_voxels(j - at * moves[2])
         columns = on_voxels(i - (rows * moves[0] + at * moves[1])[:, None])
         yield _between(layer, rows, columns)[None]

@@ -359,15 +359,20 @@ class LitVolume:
 
     @property
     def names(self) -> list[str]:
-        """A name for each number of that vector."""
+        """A name for each component of the vectors of ``together``, in their order.
+
+        Those of the light are red, green and blue; those of other vectors are numbered, as in
+        "lobes 0". A scalar array has its own name.
+        """
         known = {"light": ["red", "green", "blue"]}
-        sizes = {
+        # A scalar array counts as a vector of 0 components: it has no numbered names.
+        counts = {
             name: array.shape[3] if array.ndim == 4 else 0 for name, array in self.arrays.items()
         }
         return [
             each
-            for name, k in sizes.items()
-            for each in known.get(name, [f"{name} {n}" for n in range(k)] or [name])
+            for name, count in counts.items()
+            for each in known.get(name, [f"{name} {n}" for n in range(count)] or [name])
         ]
 
 

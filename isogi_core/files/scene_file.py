@@ -580,7 +580,7 @@ class Settings:
         return value
 
     def numbers(self, key: str, length: int) -> tuple[float, ...] | None:
-        """Return a list of ``length`` finite numbers, or None."""
+        """Return a list of ``length`` finite numbers; None if it is left out."""
         value = self._read(
             key, lambda value: are_numbers(value, length), f"a list of {length} numbers"
         )
@@ -589,7 +589,7 @@ class Settings:
         return tuple(map(float, value))
 
     def flags(self, key: str, length: int) -> tuple[bool, ...] | None:
-        """Return a list of ``length`` times true or false, or None."""
+        """Return a list of ``length`` times true or false; None if it is left out."""
         value = self._read(
             key,
             lambda value: _is_list(value, length) and all(isinstance(each, bool) for each in value),
@@ -598,7 +598,7 @@ class Settings:
         return None if value is None else tuple(value)
 
     def counts(self, key: str, length: int, high: int) -> tuple[int, ...] | None:
-        """Return a list of ``length`` whole numbers from 1 to ``high``, or None."""
+        """Return a list of ``length`` whole numbers from 1 to ``high``; None if it is left out."""
         value = self._read(
             key,
             lambda value: (
@@ -610,7 +610,9 @@ class Settings:
         return None if value is None else tuple(value)
 
     def spans(self, key: str, length: int) -> tuple[tuple[int, int], ...] | None:
-        """Return a list of ``length`` pairs of ascending whole numbers from 0 on, or None."""
+        """Return a list of ``length`` pairs of whole numbers from 0 on, the second of each above
+        its first; None if it is left out.
+        """
         wanted = f"a list of {length} pairs of ascending whole numbers from 0 on, such as [0, 64]"
         value = self._read(
             key, lambda value: _is_list(value, length) and all(map(is_span, value)), wanted
@@ -637,7 +639,9 @@ class Settings:
     def interval(
         self, key: str, within: tuple[float, float], fallback: tuple[float, float]
     ) -> tuple[float, float]:
-        """Return two ascending numbers inside ``within``."""
+        """Return two numbers in the volume's range ``within``, the second at or above the first;
+        the ``fallback`` if they are left out.
+        """
         value = self.numbers(key, 2) or fallback
         if not within[0] <= value[0] <= value[1] <= within[1]:
             raise self._wrong(
@@ -648,7 +652,9 @@ class Settings:
         return value[0], value[1]
 
     def span(self, key: str, low: float, high: float) -> tuple[float, float] | None:
-        """Return two numbers in [low, high], the second above the first, or None."""
+        """Return two numbers in [low, high], the second above the first; None if they are left out.
+        Equal ones are refused.
+        """
         value = self.numbers(key, 2)
         if value is not None and not low <= value[0] < value[1] <= high:
             raise self._wrong(
@@ -717,7 +723,7 @@ class Settings:
 
 
 def is_span(value: Any) -> bool:
-    """Return True if ``value`` is a pair of ascending whole numbers from 0 on."""
+    """Return True if ``value`` is a pair of whole numbers from 0 on, the second above the first."""
     return (
         _is_list(value, 2) and all(type(each) is int for each in value) and 0 <= value[0] < value[1]
     )

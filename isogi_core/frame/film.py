@@ -92,11 +92,14 @@ def develop(
     """Develop the picture of a frame, (h, w, 3) uint8 sRGB. ``exposure`` multiplies the light.
 
     ``background`` is dark, light, ``#rrggbb``, or transparent: then the picture is (h, w, 4), with
-    the share of each pixel that surfaces cover in its last channel. ``overlay`` is one of the
-    view's OVERLAYS: ``provisional`` hatches pixels that are not final, broadly if they are
-    provisional and finely if they converge; ``error`` colours pixels with light by their estimated
-    relative error, and hatches all others. Without an overlay, pixels at edges show the mean of
-    their samples.
+    the share of each pixel that surfaces cover in its last channel. Pixels of glow alone are opaque
+    in a transparent picture, in front of BACKGROUND; if the scene has several surfaces, they are
+    not covered at all.
+
+    ``overlay`` is one of the view's OVERLAYS: ``provisional`` hatches pixels that are not final,
+    broadly if they are provisional and finely if they converge; ``error`` colours pixels with light
+    by their estimated relative error, and hatches all others. Without an overlay, pixels at edges
+    show the mean of their samples.
     """
     clear = background == "transparent"
     ground: tuple[float, ...] = BACKGROUND
@@ -171,12 +174,14 @@ def averaged(
     """Return the pixels at ``edges`` as the mean of the light that their samples show on a screen;
     (k, 3) uint8 sRGB.
 
-    If the picture is ``clear``, it is the mean of the samples on surfaces, and (k, 4): the last
-    channel is the share that these cover.
+    If the picture is ``clear``, it is (k, 4), and the last channel is the mean cover of the
+    samples, from 0 to 255. The colours are then those of the surfaces alone: the sum of the light
+    of the samples on them, over the sum of their covers. Glow alone counts as a surface in front of
+    the ``ground``.
     """
     light = before_ground(edges.light, edges.airy, exposure, ground)
     # Average after the tone curve, as a screen shows it: before it, one bright sample would hide
-    # all others.
+    # all others. All samples are developed as one picture, with those of a pixel in each row.
     shown = linear_table()[lit(light, edges.on.astype(np.uint8), exposure, False, ground)]
     if not clear:
         # Samples on surfaces that let light pass show the background behind.
@@ -185,6 +190,7 @@ def averaged(
             behind = left[..., None] * np.array(ground, np.float32)
             shown = np.minimum(shown + behind, np.float32(1.0))
         return coded(shown.mean(axis=1))
+    # The light of a sample has its cover as a factor already.
     sums = np.where(edges.on[..., None], shown, np.float32(0)).sum(axis=1)
     cover = edges.cover.mean(axis=1)
     light = sums / np.maximum(edges.cover.sum(axis=1), MIN_PIXEL_COVER)[:, None]
@@ -209,8 +215,9 @@ def lit(
     marked: bool,
     ground: tuple[float, ...] = BACKGROUND,
 ) -> np.ndarray:
-    """Develop ``radiance`` (h, w, 3) to a picture; if ``marked``, hatch it by the ``state`` (h,
-    w) of its pixels.
+    """Develop ``radiance`` (rows, columns, 3) to a picture of the same shape, uint8 sRGB; if
+    ``marked``, hatch it by the ``state`` (rows, columns) of its pixels. Pixels of the state 0 show
+    the ``ground``.
     """
     picture = np.empty(radiance.shape, np.uint8)
     colours = np.array([ground, HATCHING_COLOUR], np.float32)

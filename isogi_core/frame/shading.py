@@ -127,8 +127,12 @@ def colour_surface(shot: Shot, framebuffer: Framebuffer) -> None:
 
 
 def shade_by_paths(shot: Shot) -> Framebuffer:
-    """Path-trace a picture, as a reference; estimate its error from replicas, and mark pixels
-    as final if it is within that of the goal. Raises Cancelled.
+    """Path-trace a picture, as a reference; estimate the error of each pixel from replicas, and
+    mark pixels as final if it is within that of the goal. Raises Cancelled.
+
+    Each replica takes an equal part of the samples of the view, rounded down, but one at least. So
+    a pixel sends as many paths as the view has samples if the replicas divide them, else fewer;
+    for one sample it sends two.
     """
     gbuffer = shot.gbuffer
     light = shot.light
@@ -137,15 +141,17 @@ def shade_by_paths(shot: Shot) -> Framebuffer:
     samples = light.view.samples
     framebuffer = empty_framebuffer(gbuffer)
     replicas = replicas_for(samples)
-    count = max(samples // replicas, 1)
+    samples_each = max(samples // replicas, 1)
     variance = np.empty(len(pixels))
 
-    # Trace the paths of some points after the other: sums of replicas take memory for one pass.
+    # Trace the paths pass by pass: sums of replicas take memory for the points of one pass alone.
+    # The random numbers of a pixel do not depend on the passes.
     for some in passes(len(pixels), samples, tiles):
         sums = np.zeros((some.stop - some.start, replicas, 3))
         rows = np.arange(some.start, some.stop)
-        Paths(light, gbuffer.part(rows, tiles), tiles).add(sums, streams.PICTURE_STREAM, 0, count)
-        means = np.minimum(sums / count, np.finfo(np.float32).max)
+        paths = Paths(light, gbuffer.part(rows, tiles), tiles)
+        paths.add(sums, streams.PICTURE_STREAM, 0, samples_each)
+        means = np.minimum(sums / samples_each, np.finfo(np.float32).max)
         framebuffer.radiance[pixels[some]] = means.mean(axis=1)
         variance[some] = variance_of_mean(means)
 

@@ -88,14 +88,16 @@ def _metal(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
 
 def _cuts(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
     """Return the signed distance in voxels, negative within, to the drilled holes: bores, crank
-    tunnel, bolt holes, oil galleries and port channels.
+    tunnel, holes in the feet, bolt holes, oil galleries, port channels and flange screws.
     """
     # Each hole is a disc swept along its axis, over an interval of which the middle and the half
-    # length are given; edges between holes stay sharp.
+    # length are given; it goes on beyond the metal where it is open. Edges between holes stay
+    # sharp.
     bores = _extrude(_discs(x, y, _BARRELS, 13.0), _slab(z, 62.0, 36.0))
     tunnel = _extrude(_discs(y, z, [(64.0, 25.0)], 9.5), _slab(x, 64.0, 60.0))
     corners = [(64.0 + 46.5 * i, 64.0 + 44.0 * j) for i in (-1, 0, 1) for j in (-1, 1)]
     feet = _extrude(_discs(x, y, corners, 3.2), _slab(z, 13.0, 8.0))
+    # Four bolts are at the corners of the deck, and two between the barrels.
     studs = [(64.0 + 39.0 * i, 64.0 + 20.0 * j) for i in (-1, 1) for j in (-1, 1)]
     bolts = _extrude(_discs(x, y, [*studs, (64.0, 43.5), (64.0, 84.5)], 2.6), _slab(z, 70.0, 32.0))
     galleries = _extrude(

@@ -232,7 +232,8 @@ def resample(image: np.ndarray, height: int, width: int) -> np.ndarray:
     """
     if image.shape[:2] == (height, width):
         return np.asarray(image, np.float64)
-    # Solid angles are separable: cos θ along columns, φ along rows.
+    # The solid angle of a pixel is Δφ · Δ(-cos θ): average over rows of pixels by -cos θ, which
+    # ascends with them, and over columns by φ.
     rows = _overlap(
         -np.cos(np.linspace(0, np.pi, height + 1)), -np.cos(np.linspace(0, np.pi, len(image) + 1))
     )

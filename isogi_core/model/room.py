@@ -120,12 +120,11 @@ class Room:
         return Room(dark, self.corners, self.edges).digest
 
     def wall_at(self, point: Vector, near: float) -> int | None:
-        """Return the number of the wall that is within ``near`` of a ``point`` of the box; None
-        if there is none.
+        """Return the number, from 0, of the first wall in which a ``point`` of the box lies: at
+        most ``near`` away from its plane, and not beyond its rim. None if there is none.
         """
         for k, (corner, (u, v)) in enumerate(zip(self.corners, self.edges, strict=True)):
-            # The point is in the wall if it is near its plane, and both coordinates along the edges
-            # are from 0 to 1.
+            # Edges are at a right angle: coordinates along them are from 0 to 1 within the rim.
             away = np.subtract(point, corner)
             normal = np.cross(u, v)
             shares = away @ u / (u @ u), away @ v / (v @ v)

@@ -114,18 +114,21 @@ class GlowLayer(Layer):
         return self.channels // self.glows
 
     def lights(self, radiances: np.ndarray) -> list[np.ndarray]:
-        """Return the light, (3, 1) linear RGB each, by which channels are multiplied if the glows
-        give off ``radiances`` (glows, 3).
+        """Return the linear RGB, (3, 1) each, by which the channels of a texel are multiplied if
+        the glows give off ``radiances`` (glows, 3).
 
-        Several glows have an entry for each channel, in their order: the whole light of a glow if
-        it has one channel, else one colour of it, with 0 for the others. A single glow has one
-        entry for all its channels, which are the colours of its light.
+        - A single glow: one entry, its radiance. A frame multiplies each channel by the entry's
+          part of the same colour, or its only channel by the whole entry.
+        - Several glows of one channel each: an entry for each glow, its radiance. A frame adds up
+          channel times entry.
+        - Several glows of three channels each: an entry for each channel, the glow's radiance in
+          this channel's colour and 0 in the others. A frame adds up channel times entry.
         """
         if self.glows == 1 or self.colours == 1:
             masks = np.ones((1, 3))
         else:
             masks = np.eye(3)
-        return [(light * mask)[:, None] for light in radiances for mask in masks]
+        return [(radiance * mask)[:, None] for radiance in radiances for mask in masks]
 
 
 @dataclass(frozen=True)

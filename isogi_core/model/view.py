@@ -309,17 +309,18 @@ def angles_of(q: Quaternion) -> Turn:
 
 
 def nearest_turn(q: Quaternion) -> Turn:
-    """Return yaw, pitch and roll of a unit quaternion, a turn in the world, each rounded to
-    TURN_STEP.
+    """Return yaw, pitch and roll, in degrees, of a unit quaternion, a turn in the world; each is
+    rounded by itself to a multiple of TURN_STEP.
 
     Angles that mean the same rotation become equal: at pitch ±90 roll is 0, and half a turn is 180.
+    Of the turns by such angles, the result is not always the one nearest to the given turn.
     """
     yaw, pitch, roll = (TURN_STEP * round(angle / TURN_STEP) for angle in angles_of(q))
     # Rounding may reach the pole: only yaw - roll counts at pitch 90, and yaw + roll at -90.
     if abs(pitch) == 90.0:
         yaw -= roll * pitch / 90.0
         roll = 0.0
-    # Half a turn is 180 and not -180; adding 0 turns -0 into 0.
+    # Bring angles into (-180, 180]; adding 0 turns -0 into 0.
     yaw, roll = (180.0 - (180.0 - angle) % 360.0 for angle in (yaw, roll))
     return (yaw + 0.0, pitch + 0.0, roll + 0.0)
 

@@ -411,6 +411,7 @@ class Volume:
         slabs = sum(1 for _ in self.slabs())
         for number, inner in enumerate(self.core_voxels(), 1):
             counts += np.histogram(inner, bins, span)[0]
+            # The histogram is the last stage of a copy: those before it count as done.
             progress((COPY_STAGES - 1) * layers + number * layers // slabs, COPY_STAGES * layers)
         return counts
 

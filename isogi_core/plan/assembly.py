@@ -178,8 +178,8 @@ def with_labels(settings: Settings, whole: Volume) -> Settings:
     """Return the settings with ``labels = "all"`` if the ``whole`` volume was opened as a
     segmentation because its file says so, and the scene lists no labels itself.
 
-    A scene with a setting that labels do not have, such as an isovalue, was not opened so: see
-    ``are_labels``.
+    If the scene has a setting that labels do not have, such as an isovalue, its volume was opened
+    by its values: see ``are_labels``.
     """
     source = settings.source
     if not whole.segmented or source.document.get("labels"):
@@ -230,13 +230,15 @@ def with_start(settings: Settings, whole: Volume) -> tuple[Settings, Start | Non
 
 
 def without_start(settings: Settings, whole: Volume) -> Settings:
-    """Return the settings without the start that ``with_start`` chose when the scene was opened
-    before, if it lies outside of the values of the ``whole`` volume.
+    """Return the settings without the start that ``with_start`` chose at an earlier opening, if it
+    lies outside of the values of the ``whole`` volume; else the settings as they are.
 
-    A volume has other values at another step in time, or smoothed. If both signs are shown, minus
-    the isovalue must lie among the values too. An isovalue that the scene's file gives stays.
+    A smoothed variant is opened by its scene's document, which holds that start, and its volume has
+    a smaller range of values. If the start shows both signs, minus the isovalue must lie among the
+    values too.
     """
     source = settings.source
+    # The isovalue is the scene's own, or there is none.
     if not source.found:
         return settings
     low, high = whole.value_range

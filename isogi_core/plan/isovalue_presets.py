@@ -298,14 +298,19 @@ class SeenNormals(NamedTuple):
 
 
 def front_of(volume: Volume, inside: bool) -> tuple[float, float]:
-    """Return the azimuth and elevation, degrees, from which a ``volume`` is first seen: its
-    longer side lies across. ``inside`` a room it is seen from the open side.
+    """Return the azimuth and elevation, degrees, from which a ``volume`` is first seen.
+
+    With ``inside``, it stands in a room, which is seen from its open side. A patient, whose sides
+    the volume names by letters, is seen from the front, a little from one side. Anything else is
+    seen with its longer side across the picture.
     """
     if inside:
         return ROOM_VIEW
     if volume.orientation.letters:
         return FACE_VIEW
-    (_, deep, wide), (x, y, _) = volume.shape, volume.spacing
+    # The longer the box along x, the more the view is from +y, which has azimuth 90.
+    _, deep, wide = volume.shape
+    x, y, _ = volume.spacing
     azimuth = FRONT[0] - 45.0 + math.degrees(math.atan2(wide * x, deep * y))
     return float(round(min(max(azimuth, SKEW_AZIMUTHS[0]), SKEW_AZIMUTHS[1]))), FRONT[1]
 

@@ -205,7 +205,7 @@ def plan_scene(inputs: PlanInputs, overrides: PlanOverrides) -> ScenePlan:
     else:
         lobes = 0
     layers = planned_layers(representation, inputs, overrides, bounces, lobes)
-    layers = rounded(layers, inputs, overrides, lobes)
+    layers = with_precision(layers, inputs, overrides, lobes)
     # Light of glows is a layer next to any other, as frames choose its colour and strength.
     layers += glow_layers(inputs, bounces)
     # The rest of the plan follows from the layers.
@@ -373,22 +373,23 @@ def unit_of(inputs: PlanInputs) -> float:
     return 1.0
 
 
-def rounded(
+def with_precision(
     layers: tuple[Layer, ...], inputs: PlanInputs, overrides: PlanOverrides, lobes: int
 ) -> tuple[Layer, ...]:
     """Return the ``layers`` in the least precision whose rounding error is within its share of
-    the target, or in the precision that the scene asks for.
+    the target, or in the precision that the scene asks for. Raises SceneError if that is bytes, and
+    no layer has a band that may be kept in them.
     """
     if overrides.precision is None:
-        return next(kept for kept in precisions(layers) if fits(kept, inputs, lobes))
+        return next(tried for tried in precisions(layers) if fits(tried, inputs, lobes))
     # The smallest precision has bytes, unless no layer has a band that may be kept in them.
     if overrides.precision == "bytes":
-        kept = next(precisions(layers))
-        if all(layer.coarse is None for layer in kept):
+        smallest = next(precisions(layers))
+        if all(layer.coarse is None for layer in smallest):
             raise SceneError(
                 "precision = 'bytes' is for higher bands, and there are none: leave it out."
             )
-        return kept
+        return smallest
     return tuple(replace(layer, half=overrides.precision == "half") for layer in layers)
 
 

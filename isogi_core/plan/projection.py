@@ -9,8 +9,8 @@ surfaces are. S3 steps from c to c + ε (gMin(c) + k²), where gMin(c) is the le
 isosurface c: the next surface is then nowhere farther away than ε (1 + k²/gMin). Here ε follows
 from the number of levels, and k² is the gradient of a field that takes the box's diagonal for the
 whole range. If noise or a plateau makes gMin small at most isovalues, k² decides and the levels are
-even; ``softened`` is the share of the range in which it does. Source: Beason et al. 2006 (S3),
-section 2.3.
+even; ``softened`` is the share of the range, as far as it has surfaces, in which it does. Source:
+Beason et al. 2006 (S3), section 2.3.
 """
 
 import math
@@ -221,11 +221,12 @@ class ProjectionPlan:
 
 
 def plan_projection(field: Field, span: Span, start: Isovalue, target: float) -> ProjectionPlan:
-    """Survey the stiffness of isosurfaces of a ``field`` over a ``span`` of isovalues, and at the
-    isovalue at which views ``start``.
+    """Plan the projection of texels by the stiffness of isosurfaces of a ``field``, at
+    SURVEYED_LEVELS isovalues of a ``span`` and at one more, the isovalue at which views ``start``.
 
-    ``target`` is the scene's relative error. The field needs no macrocells.
-    ``Stiffness.expectation`` predicts the errors.
+    ``target`` is the scene's relative error. The plan's errors are the ``likely`` ones of
+    ``Stiffness.expectation``. The field needs no macrocells, and about MAX_SURVEYED_CELLS of its
+    cells are read.
     """
     levels = np.append(np.linspace(*span, SURVEYED_LEVELS), start)
     found = measure_stiffness(field, levels, most=MAX_SURVEYED_CELLS)
@@ -257,8 +258,8 @@ key passes them in a second.
 class SampledRange:
     """Isovalues ``levels``, ascending in the units of the volume's file.
 
-    ``softened`` is the share of the range in which k² is above gMin; at least that share, if
-    ``few`` cells were read.
+    ``softened`` is the share of the range, as far as it has surfaces, in which k² is above gMin; at
+    least that share, if ``few`` cells were read.
     """
 
     levels: tuple[float, ...]
@@ -329,13 +330,17 @@ def rounded(value: float, most: float) -> float:
 def adaptive_shares(
     volume: Volume, isovalues: tuple[float, float], shares: np.ndarray, most: float = math.inf
 ) -> tuple[np.ndarray, float]:
-    """Return the places that the adaptive rule (see the top of this file) reaches after these
-    ``shares`` of its steps, as shares of the range; and the share of it that is softened, in which
-    k² exceeds gMin.
+    """Place levels in a range of ``isovalues`` by the adaptive rule, see the top of this file.
+
+    Return the places, as shares of the range, that are reached after ``shares`` (m,) of all steps;
+    and the softened share, see ``SampledRange``. If the range is one isovalue or has no surface,
+    the ``shares`` are returned as they are.
 
     A step from c is ε (gMin + k²) long, so the number of steps from one level to another is, but
-    for the factor ε, their way ∫ dc / (gMin + k²), and equal steps are equal parts of it. No level
-    falls into a part of the range that has no surface. At most ``most`` cells are read, see
+    for the factor ε, their way ∫ dc / (gMin + k²), and equal steps are equal parts of it. Parts of
+    the range without a surface add nothing to the way. They are joined to the next part that has
+    one, over which its own way is then spread evenly: a level of that part may lie in the gap
+    before it, but none lies beyond the last part with a surface. About ``most`` cells are read, see
     ``least_gradients``.
     """
     ends = [float(volume.normalise_isovalue(value)) for value in isovalues]
@@ -350,8 +355,8 @@ def adaptive_shares(
     there = np.isfinite(gradients)
     if not there.any():
         return shares, 0.0
-    # Integrate the way. Parts without a surface take none, and are left out so that it can be
-    # inverted.
+    # Integrate the way. It has an inverse only while it grows: leave out the edge at the end of a
+    # part without a surface.
     way = np.append(
         0.0, np.cumsum(np.where(there, 1.0 / (np.where(there, gradients, 0.0) + soft), 0.0))
     )

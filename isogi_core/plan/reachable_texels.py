@@ -171,15 +171,20 @@ def lattice_spans(cells: int, texels: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def any_within(marks: np.ndarray, firsts: list[np.ndarray], counts: list[np.ndarray]) -> np.ndarray:
-    """Return True for each box that holds a set mark. A box has ``counts`` marks from
-    ``firsts`` on, both given by axis; outside of the array no mark is set.
+    """Return True for each box that holds a set one of the ``marks``, bool; the result has as many
+    entries along each axis as there are intervals along it.
+
+    A box is the product of one interval of each axis. Interval i of an axis has ``counts[axis][i]``
+    marks, 1 or more, from ``firsts[axis][i]`` on. It must begin within the array, and its part
+    beyond the end of the array holds no set mark.
     """
     for axis, (first, count) in enumerate(zip(firsts, counts, strict=True)):
         most = marks.shape[axis] - 1
-        # The boxes are single marks along this axis.
+        # Each interval is one mark, in order: there is nothing to combine along this axis.
         if np.array_equal(first, np.arange(most + 1)) and (count == 1).all():
             continue
-        # Combine the k-th mark of each box, for each k; shorter boxes repeat their last mark.
+        # Combine the k-th mark of each interval, for each k. An interval that has fewer marks, or
+        # is cut off by the end of the array, repeats its last one.
         steps = (np.minimum(first + np.minimum(k, count - 1), most) for k in range(count.max()))
         marks = reduce(np.logical_or, map(partial(marks.take, axis=axis), steps))
     return marks

@@ -295,7 +295,7 @@ def surface_size(
         float(error[0]),
         float(size[1]),
         float(error[1]),
-        _reaches(voxels, level, periodic),
+        _reaches_border(voxels, level, periodic),
     )
 
 
@@ -340,14 +340,15 @@ def _area_and_volume(
     return total
 
 
-def _reaches(voxels: np.ndarray, level: float, periodic: tuple[bool, bool, bool]) -> bool:
-    """Return True if the part above a level reaches a side of the volume; sides across axes that
-    are ``periodic`` do not count.
+def _reaches_border(voxels: np.ndarray, level: float, periodic: tuple[bool, bool, bool]) -> bool:
+    """Return True if a voxel above the level is in the first or last layer along an axis.
+
+    Axes x, y, z that are ``periodic`` do not count: the field goes on there.
     """
     return any(
         bool((side > level).any())
-        for axis, along in enumerate(periodic[::-1])
-        if not along
+        for axis, repeats in enumerate(periodic[::-1])
+        if not repeats
         for side in np.moveaxis(voxels, axis, 0)[[0, -1]]
     )
 
@@ -385,30 +386,31 @@ def _cut(corners: np.ndarray, level: float, matrix: np.ndarray) -> np.ndarray:
 
 
 def _tip(values: np.ndarray, corners: np.ndarray) -> tuple[float, float]:
-    """Return the sums of area, and of the share above, over tetrahedra of which one corner is above
-    zero.
+    """Return two sums over n tetrahedra of which one corner is above zero: the area of their cuts,
+    and the share of each one's volume that is above.
 
-    ``values`` (4, n) fall from corner to corner; ``corners`` are (4, n, 3).
+    ``values`` (4, n) fall from corner to corner; ``corners`` (4, n, 3) are the corners' places.
     """
-    # The tip above the cut is a smaller tetrahedron, with the product of the shares as its volume.
+    # The surface cuts the three edges from the top corner, each at this share of its length. The
+    # tip above the cut is a smaller tetrahedron: its share of the volume is the product of these.
     shares = values[0] / (values[0] - values[1:])
-    sides = shares[..., None] * (corners[1:] - corners[0])
-    return 0.5 * _length(np.cross(sides[1] - sides[0], sides[2] - sides[0])), float(
+    from_top = shares[..., None] * (corners[1:] - corners[0])
+    return 0.5 * _length(np.cross(from_top[1] - from_top[0], from_top[2] - from_top[0])), float(
         shares.prod(axis=0).sum()
     )
 
 
 def _foot(values: np.ndarray, corners: np.ndarray) -> tuple[float, float]:
-    """Return the sums of area, and of the share above, over tetrahedra of which three corners
-    are above zero; as ``_tip`` upside down.
+    """Return the same sums as ``_tip`` over tetrahedra of which three corners are above zero: all
+    but a tip below zero is above. Arguments are as for ``_tip``.
     """
     area, below = _tip(-values[::-1], corners[::-1])
     return area, values.shape[1] - below
 
 
 def _wedge(values: np.ndarray, corners: np.ndarray) -> tuple[float, float]:
-    """Return the sums of area, and of the share above, over tetrahedra of which two corners are
-    above zero; arguments as for ``_tip``.
+    """Return the same sums as ``_tip`` over tetrahedra of which two corners are above zero.
+    Arguments are as for ``_tip``.
     """
     (a, b) = values[:2]
     (c, d) = values[2:]
@@ -420,6 +422,8 @@ def _wedge(values: np.ndarray, corners: np.ndarray) -> tuple[float, float]:
     ]
     # The cut is a planar quadrilateral: half the product of its diagonals.
     area = 0.5 * _length(np.cross(points[3] - points[0], points[2] - points[1]))
+    # The part above is three tetrahedra: a with the crossings ac, ad, bd; a with ac, bc, bd; a and
+    # b with bc, bd.
     return area, float((ac * ad * (1.0 - bd) + ac * (1.0 - bc) * bd + bc * bd).sum())
 
 

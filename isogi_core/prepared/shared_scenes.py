@@ -54,8 +54,8 @@ class SharedScene:
 
 
 class SharedScenes:
-    """The scenes that this process shares, each for as long as its volume exists. Safe to use
-    from many threads.
+    """The scenes that this process shares. The file of a scene is closed when the scene is deleted,
+    that of its volume when the volume is. Safe to use from many threads.
     """
 
     def __init__(self) -> None:
@@ -77,13 +77,16 @@ class SharedScenes:
             return None
         with self._lock, suppress(OSError, AttributeError, pickle.PicklingError, TypeError):
             volume = self._shared(scene.volume, lambda: parts_of(prepared))
+            # ``packed`` leaves the volume out of the scene.
             return SharedScene(self._shared(scene, lambda: scene), volume)
         return None
 
     def _shared(self, owner: Volume | Scene, content: Callable[[], Any]) -> SharedFile:
-        """Return the file of an ``owner``, written once, and closed when the owner is deleted."""
+        """Return the file of an ``owner``, into which its ``content`` is written once. It is closed
+        when the owner is deleted.
+        """
         if owner not in self._files:
-            # The file lives in memory, and as long as its descriptor is open.
+            # The file lies in memory, and exists as long as its descriptor is open.
             number = os.memfd_create("isogi", os.MFD_CLOEXEC)
             weakref.finalize(owner, os.close, number)
             key = secrets.token_bytes(KEY_BYTES)

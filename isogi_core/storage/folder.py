@@ -295,21 +295,24 @@ class Copies:
         except OSError:
             return None
         # A copy is a line with the checksum, a line with the tag, and the data.
-        checksum, _, rest = kept.partition(b"\n")
-        tag, _, data = rest.partition(b"\n")
-        if checksum == checksum_of(rest):
+        checksum, _, checked = kept.partition(b"\n")
+        tag, _, data = checked.partition(b"\n")
+        if checksum == checksum_of(checked):
             return StoredObject(data, tag.decode())
         return None
 
     def put(self, key: str, found: StoredObject) -> None:
-        """Write a copy. An object without a tag gets none, as the store could not confirm it."""
+        """Write a copy of an object. One without a tag is not copied, as the store could not
+        confirm the copy.
+        """
         if not found.tag:
             return
-        rest = found.tag.encode() + b"\n" + found.data
+        # The checksum covers the line with the tag and the data, as ``get`` reads them.
+        checked = found.tag.encode() + b"\n" + found.data
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
-            write_whole(self._path(key), checksum_of(rest) + b"\n" + rest)
-            self._make_room(len(rest))
+            write_whole(self._path(key), checksum_of(checked) + b"\n" + checked)
+            self._make_room(len(checked))
         except OSError as error:
             log.info("A copy of light cannot be written to %s: %s", self._folder, error)
 

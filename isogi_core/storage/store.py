@@ -441,12 +441,15 @@ class Store:
 
     @contextmanager
     def _translated_errors(self, action: str, writing: bool = False) -> Iterator[None]:
-        """Translate a backend's errors in the block; ``action`` completes "Cannot …", as in
-        ``store_error``. A StoreError passes as it is.
+        """Translate a backend's errors in the block; ``action`` completes "Cannot … the store", as
+        in ``store_error``. A StoreError passes as it is.
 
-        If a write lacks room or permission, raise StoreFullError or StoreReadOnlyError. Any other
-        error has the store checked immediately: raise the error of the check, or StoreError for
-        this action alone if the store passes.
+        If a write lacks room or permission, raise StoreFullError or StoreReadOnlyError. After any
+        other error check the store immediately, with a trial write if ``writing``. Raise the error
+        of the check, or StoreError for this action alone if the store passes.
+
+        After a failed read, a remote store counts as away until a check has passed: if the check
+        takes longer than CHECK_SECONDS, raise StoreAwayError for this action.
         """
         try:
             yield
@@ -457,9 +460,11 @@ class Store:
             if writing and isinstance(trouble, StoreFullError | StoreReadOnlyError):
                 raise trouble from error
             # Check the store immediately: if it is gone, this raises, and later calls need not
-            # fail one by one. A store that refuses a write may still be read: reads go on
-            # meanwhile.
+            # fail one by one.
             self._checked_until = -1.0
+            # Count a remote store as away, so that the check is left to a thread and this caller
+            # waits CHECK_SECONDS at most. Not after a write: the store may still be read, and reads
+            # go on meanwhile.
             if self.url.remote and not writing:
                 self._away = self._away or trouble
             if writing:

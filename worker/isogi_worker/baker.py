@@ -221,7 +221,9 @@ class Baker:
         reports no error: it opens the scene again with its first task.
         """
         pool = self._pool
+        # Without a name take the bake that was added first.
         bake = self._bakes.get(scene or next(iter(self._bakes), ""))
+        # The bake of a scene projects no texels, so that it has no isosurface ``shown`` to pass on.
         if pool is not None and bake is not None:
             pool.prepare(
                 partial(open_spec, bake.source, bake.plan, bake.digest, bake.store_url, bake.assets)
@@ -596,10 +598,11 @@ class Baker:
             self._fail(key, outcome)
 
     def _pause_for(self, error: StoreAwayError) -> None:
-        """Pause baking until the store is back that a task could not reach. The caller must hold
-        the lock.
+        """Note that a task could not reach the store. From the second such task on, baking pauses
+        until the store is back: see ``Pause.begin``. The caller must hold the lock.
         """
         former_reason = self._pause.reason
+        # A baker that has stopped has no pool, and needs no pause.
         if self._pool is not None:
             self._pause.begin(str(error))
         # Log the beginning of a pause only, and not each try that fails during it.
@@ -618,7 +621,8 @@ class Baker:
 
     def _fail(self, key: Key, error: BaseException | None) -> None:
         """Log that the task of a chunk has failed with an ``error``, and have the queue try it
-        again, or give it up after several failures. The caller must hold the lock.
+        again. After several failures the queue gives the chunk up until its request expires: see
+        ``bake_requests.MOST_FAILURES``. The caller must hold the lock.
         """
         scene, index = key
         self._failed_chunks += 1

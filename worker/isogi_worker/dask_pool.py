@@ -31,15 +31,15 @@ def show_certificate(authority: str, certificate: str, key: str) -> "dask.config
 
 
 CLIENT_CLOSE_SECONDS = 1.0
-"""Seconds that closing a client may take whose connection failed."""
+"""Most seconds that closing a client takes if it found no scheduler."""
 
 
 class OwnClient(Client):
-    """A client that the garbage collector never closes.
+    """A Dask client that only the code that made it closes; the garbage collector never does.
 
-    Dask's own client takes a lock when it is collected. If that happens in a thread that is just
-    making a client, and holds this lock, the thread waits for ever. A client that finds no
-    scheduler is such garbage.
+    Dask's own client closes itself when it is collected, and takes a lock for that. If this happens
+    in a thread that is just making a client, and so holds the lock, the thread waits for ever. A
+    client that found no scheduler would be collected: it is closed as soon as joining has failed.
     """
 
     def __init__(self, address: str, timeout: str) -> None:
@@ -50,6 +50,7 @@ class OwnClient(Client):
         try:
             super().__init__(address, timeout=timeout, set_as_default=False)  # type: ignore[no-untyped-call]
         except BaseException:
+            # The caller gets no client to close, so close it here: its thread would go on.
             with suppress(Exception):
                 self.close(timeout=CLIENT_CLOSE_SECONDS)  # type: ignore[no-untyped-call]
             raise

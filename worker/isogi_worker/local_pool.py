@@ -227,7 +227,7 @@ class LocalPool:
         kinds = {layer.kind for layer in plan.layers}
         self._kinds |= kinds
 
-        def ended(result: Any, error: BaseException | None) -> None:
+        def end_job(result: Any, error: BaseException | None) -> None:
             """Note that kernels are compiled, and report the end of the job."""
             # A finished task shows that the kernels of its layers are compiled.
             if error is None:
@@ -235,7 +235,7 @@ class LocalPool:
             done(result, error)
 
         # Pickle the job here, so that the pool's thread only has to send it.
-        sent = Sent(pickle.dumps(job), ended)
+        sent = Sent(pickle.dumps(job), end_job)
         with self._lock:
             closed = self._closed
             if not closed:
@@ -374,8 +374,13 @@ class LocalPool:
         worker.here = True
 
     def _end(self, seconds: float = CLOSING_SECONDS) -> None:
-        """End all processes, and return when they have ended."""
-        # Closed pipes tell workers to end; kill those that have not after some ``seconds``.
+        """End all processes, and return when they have ended.
+
+        Processes that have not ended by themselves after ``seconds``, counted once for all of them,
+        are killed.
+        """
+        # The end of its pipe of jobs tells a worker to end. Close all of these first, so that the
+        # workers end side by side.
         for worker in self._workers:
             worker.jobs.close()
         deadline = time.monotonic() + seconds
@@ -391,9 +396,10 @@ class LocalPool:
 
 
 def ended(answers: Connection, deadline: float) -> bool:
-    """Return True if a worker closes its end of a pipe before ``deadline``.
+    """Wait until a worker process has ended, which closes its end of the pipe of ``answers``.
+    Return True if it ends before the ``deadline``, in seconds of the monotonic clock.
 
-    Its last answers are dropped.
+    Answers that still come are dropped.
     """
     try:
         while answers.poll(max(deadline - time.monotonic(), 0.0)):

@@ -173,8 +173,8 @@ class TimeEstimator:
     ) -> None:
         """Begin without estimates.
 
-        ``clock`` returns seconds. ``prior`` are two or more assumed ratios of true to estimated
-        work, which always count along with the measured ones.
+        ``clock`` returns seconds. ``prior`` are assumed ratios of true to estimated work: two or
+        more, as a range needs two. They always count along with the measured ones.
         """
         self._clock = clock
         self._prior = prior
@@ -185,7 +185,8 @@ class TimeEstimator:
         """Return the time left of a ``subject`` with ``work`` seconds of work, and judge its
         earlier estimates.
 
-        ``worked`` are the seconds of work done so far, for any subject.
+        ``worked`` are the seconds of all work done so far. Work for other subjects counts, too, as
+        this subject waits for it.
         """
         now = self._clock()
         known = self._subject(subject)
@@ -229,8 +230,8 @@ class TimeEstimator:
     def _judge(self, subject: Subject, now: Estimate) -> None:
         """Judge estimates whose work was done meanwhile, or of which nothing is left.
 
-        The true work is that done since plus that left ``now``. If no work was done since, nothing
-        can be learnt.
+        The true work is the work done since the estimate, plus the work that is left ``now``. If
+        none was done since, nothing can be learnt.
         """
         for each in tuple(subject.estimates):
             worked = now.worked - each.worked
@@ -415,25 +416,28 @@ def work_seconds(work: Sequence[Work], costs: Costs) -> list[float] | None:
     """Return the processor seconds that each piece of ``work`` will take, by the measured ``costs``
     of a bake; None if unknown.
 
-    The work at hand comes first in ``work``; later stages follow, with goals of their own. A
-    texel without light is taken to need its ``expected`` samples (see ``Effort``), a path each. If
-    these are unknown, it is taken to need as many paths as other texels of the bake took or will
-    take, more if its goal is stricter, but no more than its goal allows.
+    The pieces of the present stage come first in ``work``; those of later stages follow, with goals
+    of their own. A texel without light is taken to need its ``expected`` samples (see ``Effort``),
+    a path each. If these are unknown, it is taken to need as many paths as other texels of the bake
+    took or will take: more if its goal is stricter than that of the first piece, but no more than
+    its goal allows.
     """
-    # Mean paths per texel of the bake, those taken and those left to the same error, and mean
-    # seconds of its first light.
     total = costs.total
+    # Of the paths left, take only those to the error of the first piece, as ``mean_paths`` is the
+    # mean for that error.
     left = sum(each.effort.left for each in work if each.goal.error == work[0].goal.error)
     rates = [costs.rate(each.chunk) for each in work]
     if None in rates or (not total.texels and any(each.effort.unlit for each in work)):
         return None
+    # Means of a texel of the bake: its paths, those taken and those left together, and the seconds
+    # of its first light.
     texels = max(total.texels, 1)
-    usual = (total.paths + left) / texels
-    first = total.first / texels
+    mean_paths = (total.paths + left) / texels
+    first_seconds = total.first / texels
 
     def _paths(each: Work) -> float:
         """Return the paths that a piece of work will take, except those of first light, whose
-        seconds are in ``first``.
+        seconds are in ``first_seconds``.
 
         They are the ``left`` paths of texels that have light, and those that texels without light
         take after their first light.
@@ -446,12 +450,12 @@ def work_seconds(work: Sequence[Work], costs: Costs) -> list[float] | None:
         # FIRST_LEVEL paths a texel, which must not count here.
         if unlit and each.effort.expected:
             return each.effort.left + each.effort.expected - FIRST_LEVEL * unlit
-        return each.effort.left + paths_after_first(stricter * usual, each) * unlit
+        return each.effort.left + paths_after_first(stricter * mean_paths, each) * unlit
 
     return [
-        rate * _paths(each) + first * each.effort.unlit
+        rate * _paths(each) + first_seconds * each.effort.unlit
         for rate, each in zip(rates, work, strict=True)
-        if rate is not None
+        if rate is not None  # none is None here: this tells the type checker
     ]
 
 

@@ -40,7 +40,11 @@ from isogi_worker.bake_requests import (
 from isogi_worker.tasks import BakeResult
 
 Rank = tuple[bool, int, int, float, float]
-"""The rank of a request among those of a client: the smallest comes first."""
+"""The rank of a request among those of a client: the smallest comes first.
+
+Its members are: True if the request is suspect, the negative number of the client's view, the stage
+of first light, the negative visible error that a second of work removes, and the paths left.
+"""
 
 Place = tuple[Rank, int, BakeRequest]
 """A request with its rank, and the ticket of its interest when it was put there."""
@@ -445,16 +449,19 @@ class BakeQueue:
                 self._queues.push(request, client, (request.suspect, -interest.view, *merits))
 
     def _first(self, patient: bool, client: Hashable) -> BakeRequest | None:
-        """Return the first of a client's requests that can be worked on now; None if there is none.
+        """Take the first of a client's requests that can be worked on now out of its queue; None if
+        there is none.
 
-        A request whose priority has sunk since it was ranked is ranked again.
+        A request that has sunk since it was ranked is ranked again: see ``sunk``.
         """
         while found := self._queues.pop(patient, client):
             rank, request = found
+            # One that cannot begin leaves the queue. It is ranked again when its task ends or its
+            # postponement is over; one that was given up is not.
             if not request.ready:
                 continue
-            # A task of a shared layer is in flight for this chunk: hold the request back until that
-            # has ended.
+            # A task of a shared layer is in flight for this chunk: hold the request back until
+            # ``_end_task`` ranks it again.
             if self._is_busy(request.key):
                 self._held.setdefault(request.key[1], []).append(request)
             elif sunk(rank, self.rank(request, client)):
@@ -568,9 +575,9 @@ def alike(one: BakeRequest, other: BakeRequest) -> bool:
 
 
 def sunk(rank: Rank, now: Rank) -> bool:
-    """Return True if a request's rank has become much lower,
-    or if it has got the first light that it lacked.
+    """Return True if a request comes later by its present rank ``now`` than by the ``rank`` that it
+    was queued with, for one of these reasons: it has become suspect, its stage of first light is
+    further on, or the error that a second of work removes has fallen by the share RERANK_LOSS.
     """
-    # The third number is the stage of first light; the fourth is negative, and grows towards 0 as
-    # the request's priority falls.
+    # The fourth number is negative, and grows towards 0 as that error falls.
     return now[:3] > rank[:3] or now[3] - rank[3] > RERANK_LOSS * abs(rank[3])

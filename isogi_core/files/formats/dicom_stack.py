@@ -313,7 +313,7 @@ def _colour_of_segment(lab: Any) -> str:
 
 def segment_in(header: Any, groups: list[Any]) -> int:
     """Return the number of the segment that a frame shows, by its functional ``groups``; 0 if its
-    pixels are numbers of segments.
+    pixels are numbers of segments, or if no group gives a segment.
     """
     if header.get("SegmentationType") == "LABELMAP":
         return 0
@@ -324,8 +324,11 @@ def segment_in(header: Any, groups: list[Any]) -> int:
 
 
 def numbered(pixels: np.ndarray, segment: int, header: Any) -> np.ndarray:
-    """Return the number of the ``segment`` for pixels of which it has at least half, else 0; the
-    numbers of a label map, uint16. Pixels of other images stay as they are.
+    """Return the ``pixels`` of a segmentation's frame as numbers of segments, uint16. Pixels of
+    other images stay as they are.
+
+    If the frame shows one ``segment``, pixels of which it has at least half get its number, all
+    others 0. If ``segment`` is 0, the pixels are numbers of segments already, as in a label map.
     """
     if not is_segmentation(header):
         return pixels

@@ -298,8 +298,10 @@ def _deep(group: Any) -> list[str]:
 
 
 def describe_bdv(source: Source, data: Any) -> Said | None:
-    """Describe an array of BigDataViewer: numbers without a sign, which older files keep as int16,
-    and spacing by the XML file of the same name.
+    """Describe an array of BigDataViewer; None for an array of another dialect.
+
+    int16 is read without a sign, as older files keep uint16 so. Voxels are placed only if an XML
+    file next to the HDF5 file names it and gives the size of its voxels.
     """
     found = BDV_CELLS.fullmatch(data.name.strip("/"))
     if found is None:
@@ -308,6 +310,7 @@ def describe_bdv(source: Source, data: Any) -> Said | None:
     whole = data.file
     times = sum(re.fullmatch(r"t\d{5}", name) is not None for name in whole)
     chosen = times == 1 or source.count("time") is not None or "part" in source.chosen
+    # Each voxel of a coarser level is the mean of several fine ones along x, y, z.
     factors = np.ones(3)
     with suppress(KeyError, IndexError, ValueError):
         factors = np.asarray(whole[f"s{setup}/resolutions"][int(found[3])], float)
@@ -316,7 +319,10 @@ def describe_bdv(source: Source, data: Any) -> Said | None:
         said = replace(said, moment=(int(found[1]), times))
     size, unit = _bdv_voxel(source.path, int(setup))
     if size is None:
+        # The factors are of no use without the size of a fine voxel.
         return said
+    # The origin is the centre of the first fine voxel; that of the first voxel here is the mean
+    # centre of its fine ones.
     place = placed(np.diag(size * factors), 0.5 * size * (factors - 1.0), unit)
     return replace(said, place=place, placed="BigDataViewer's XML")
 

@@ -54,11 +54,17 @@ def open_isq(source: Source) -> Grid:
 
 VFF_END = "\x0c\n"
 VFF_TYPES = {8: "u1", 16: ">i2", 32: ">f4"}
+"""Types of voxels, big-endian, by their bits."""
 
 
 @reader("VFF")
 def open_vff(source: Source) -> Grid:
-    """Open a scan of GE's microCT as a grid: numbers are big-endian. Raises VolumeError."""
+    """Open a scan of GE's microCT as a grid; it is in mm if the header has ``elementsize``.
+
+    Raises VolumeError if the scan is packed, has several bands or a number of bits that VFF_TYPES
+    lacks, or if its header does not end within MOST_HEADER_BYTES.
+    """
+    # Each byte of the header is one character: the length of the text is the place of the voxels.
     text, end, _ = text_of(source).partition(VFF_END)
     keys = keys_of(text.replace(";", "\n"), "=")
     bits = int(numbers(source, keys, "bits", 1)[0])

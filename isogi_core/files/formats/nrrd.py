@@ -580,16 +580,19 @@ def _slabs(source: Source) -> Iterator[np.ndarray]:
 
 
 def _layers(layout: Layout, dtype: np.dtype[Any], blocks: Iterator[bytes]) -> Iterator[np.ndarray]:
-    """Yield the numbers of a file, some layers at a time; (layers, ny, nx, each)."""
+    """Yield the numbers of a file, some layers at a time, (layers, ny, nx, each), from the
+    ``blocks`` of its decoded bytes. The layers of each further field follow those of the one
+    before.
+    """
     inner = (*layout.shape[1:], layout.each)
-    layer = int(np.prod(inner)) * dtype.itemsize
-    slab = slab_layers(layer) * layer
+    layer_bytes = int(np.prod(inner)) * dtype.itemsize
+    slab_bytes = slab_layers(layer_bytes) * layer_bytes
     rest = bytearray()
     for block in blocks:
         rest += block
-        while len(rest) >= slab:
-            yield np.frombuffer(rest[:slab], dtype).reshape(-1, *inner)
-            del rest[:slab]
+        while len(rest) >= slab_bytes:
+            yield np.frombuffer(rest[:slab_bytes], dtype).reshape(-1, *inner)
+            del rest[:slab_bytes]
     if rest:
         yield np.frombuffer(rest, dtype).reshape(-1, *inner)
 
@@ -750,29 +753,29 @@ def _notes_on_lost_checksums(
 
 
 def _skip_lines(name: str, header: Header, file: IO[bytes], size: int) -> int:
-    """Skip as many lines of a data file as the header says, and return the byte skip: the number of
-    decoded bytes before the voxels.
+    """Skip as many lines of a data file as the header says. Return the byte skip, which is left to
+    the caller: the number of bytes before the voxels once the rest of the file is decoded.
 
     A byte skip of -1 (raw data only) means that the voxels are the file's last ``size`` bytes.
     Raises VolumeError for other negative numbers.
     """
-    lines, count = (
+    lines, byte_skip = (
         int(header.get(f"{what} skip") or header.get(f"{what}skip") or 0)
         for what in ("line", "byte")
     )
-    from_end = count == -1 and header["encoding"].lower() in _RAW
-    if lines < 0 or (count < 0 and not from_end):
+    from_end = byte_skip == -1 and header["encoding"].lower() in _RAW
+    if lines < 0 or (byte_skip < 0 and not from_end):
         raise VolumeError(
-            f"'{name}' skips {lines} lines and {count} bytes, which cannot be: mend its header."
+            f"'{name}' skips {lines} lines and {byte_skip} bytes, which cannot be: mend its header."
         )
     while lines > 0 and file.readline():
         lines -= 1
     if not from_end:
-        return count
+        return byte_skip
     start = file.tell()
-    count = max(0, file.seek(0, 2) - size - start)
+    byte_skip = max(0, file.seek(0, 2) - size - start)
     file.seek(start)
-    return count
+    return byte_skip
 
 
 def _blocks(stream: Content, size: int) -> Iterator[bytes]:

@@ -21,7 +21,9 @@ PAR_NAMES = (".par", ".PAR", ".Par")
 
 
 def par_beside(path: Path) -> Path | None:
-    """Find the header of Philips' voxels; None if a file is none, or has no header next to it."""
+    """Find the header next to the .REC file of Philips' voxels at ``path``; None if the path ends
+    otherwise, or no header is there.
+    """
     if path.suffix.lower() != REC_SUFFIX:
         return None
     return next((each for end in PAR_NAMES if (each := path.with_suffix(end)).is_file()), None)
@@ -29,7 +31,9 @@ def par_beside(path: Path) -> Path | None:
 
 @reader("PAR/REC", "time")
 def open_parrec(source: Source) -> Grid:
-    """Open the header of a pair as a grid. Raises VolumeError."""
+    """Open a PAR header on the disk, with the REC file next to it, as a grid in mm: the chosen step
+    of a series, else its first. Raises VolumeError.
+    """
     if source.path is None:
         raise VolumeError(
             f"'{source.name}' is a header whose voxels are in another file: save both as one .nii "
@@ -48,6 +52,8 @@ def open_parrec(source: Source) -> Grid:
     source.check((nz, ny, nx))
     step, unchosen = pick_step(source, fields)
     known = f"PAR/REC of {header.get_data_dtype().name}, scaled to displayed values"
+    # The voxels may have an axis of time of length 1: a step is then read, though the grid is no
+    # series.
     return Grid(
         (nz, ny, nx),
         np.dtype(np.float32),
@@ -63,7 +69,7 @@ def open_parrec(source: Source) -> Grid:
 
 
 def _rec_beside(path: Path) -> Path | None:
-    """Find the voxels of a header."""
+    """Find the REC file next to a header; None if there is none."""
     names = (path.with_suffix(end) for end in (".REC", ".rec", ".Rec"))
     return next((each for each in names if each.is_file()), None)
 
@@ -76,7 +82,9 @@ def _par_header(path: Path) -> Any:
 
 
 def _parrec_slabs(path: Path, voxels: Path, step: int | None) -> Iterator[np.ndarray]:
-    """Read the field of a step at once, scaled to displayed values."""
+    """Read the field of a step at once, scaled to displayed values; without a step, if the voxels
+    have no axis of time.
+    """
     header = _par_header(path)
     proxy = library("nibabel.parrec", "PAR/REC").PARRECArrayProxy
     with voxels.open("rb") as file:

@@ -61,7 +61,10 @@ def keys_of(text: str, between: str) -> dict[str, str]:
 
 
 def numbers(source: Source, keys: Keys, name: str, count: int = 3) -> tuple[float, ...]:
-    """Read ``count`` numbers of a header. Raises VolumeError if it has others."""
+    """Read the ``count`` numbers that a header gives under ``name``, with blanks or commas between.
+
+    Raises VolumeError if there are more or fewer, or if one is not finite.
+    """
     words = re.split(r"[\s,]+", keys.get(name, "").strip())
     try:
         found = tuple(float(word) for word in words)

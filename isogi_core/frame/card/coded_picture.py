@@ -144,11 +144,11 @@ class ControlPictures:
         return Control(view, gbuffer, ControlPixels(places, np.ones(len(places)), halves))
 
     def measure(self, coding: Coding) -> TotalError:
-        """Return one total error of all pictures, drawn from the light that there is now in a
-        ``coding``.
+        """Draw all pictures anew, from the light that their texels hold now, rounded by a
+        ``coding``; return one total error of them all.
 
-        The errors of each picture are relative to its own mean luminance. If no view shows a
-        surface, there is no error. Raises the errors of ``Loader.ensure``.
+        The errors of each picture are relative to its own mean luminance, and all pictures count
+        alike. If no view shows a surface, the error is 0. Raises the errors of ``Loader.ensure``.
         """
         if not self._controls:
             return TotalError(0.0, 0.0, 0.0)
@@ -156,12 +156,13 @@ class ControlPictures:
         for number, each in enumerate(self._controls):
             squares.append(self._squares(each, coding))
             self._report(number + 1)
-        # The squares are relative to the light already, so the mean luminance is 1.
+        # ``_squares`` has divided by the mean luminance of each picture, so that of all is 1.
         return measure_total(np.concatenate(squares), 1.0)
 
     def _squares(self, control: Control, coding: Coding) -> np.ndarray:
-        """Return the squared errors of a picture's control pixels over the square of its true mean
-        luminance, so that those of several pictures can be averaged; (k,).
+        """Return estimates of the squared errors of a picture's control pixels over the
+        square of its true mean luminance, so that those of several pictures can be averaged; (k,).
+        They may be negative, as they come from two halves of paths.
         """
         framebuffer = draw_coded(self._renderer, control.view, coding, self._goal)
         picture = framebuffer.radiance[control.gbuffer.pixels] @ LUMINANCE_WEIGHTS

@@ -101,7 +101,8 @@ class PictureCheck:
     - ``light``: of the view.
     - ``known``: what the check has found so far.
     - ``growing``: light of pixels that is being traced for the next attempt; None if there is none.
-    - ``pace``: seconds that a path of a pixel takes; None before any was traced.
+    - ``pace``: seconds for each path of the step that was traced last, of controls or of pixels'
+      own light; it only foretells time. None before any was traced.
     - ``coarse``: True if finer texels are to be shown in place of this picture.
     - ``declined``: True if finer texels were refused.
     - ``ahead``: work that is expected to remain; None before the picture was measured.
@@ -139,8 +140,8 @@ class PictureCheck:
 
     def advance(self, frame: Frame, uncertainty: np.ndarray, tiles: Tiles, prices: Prices) -> bool:
         """Take one step from a ``frame`` of this picture towards its target; return False if there
-        is no step to take: the frame is final, all means are spent, or finer texels are to be shown
-        in its place (``coarse``).
+        is no step to take: the frame shows nothing or is final, all means are spent, or finer
+        texels are to be shown in its place (``coarse``).
 
         ``uncertainty`` (m,) is the standard error that is guessed for the luminance of each surface
         point; controls are drawn by it. ``prices`` weigh the ways to the target. The caller holds
@@ -341,9 +342,12 @@ class PictureCheck:
     def _trace(
         self, gbuffer: GBuffer, places: np.ndarray, span: tuple[int, int], tiles: Tiles
     ) -> np.ndarray:
-        """Trace the ``span`` of paths of controls at ``places``, and time them: see
-        ``trace_controls``.
+        """Trace two halves of paths from controls at ``places`` (k,), set the ``pace`` by their
+        time, and return their luminance, (k, 2). ``places`` and ``span`` are as in
+        ``trace_controls``. Raises Cancelled.
         """
+        # A point that was drawn twice is traced once, and counts twice here, as it does where
+        # numbers of paths are predicted from numbers of controls.
         begun = time.perf_counter()
         halves = trace_controls(self.light, gbuffer, places, span, self.known.attempt, tiles)
         self.pace = (time.perf_counter() - begun) / max(2.0 * span[1] * len(places), 1.0)

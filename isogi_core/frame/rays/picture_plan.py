@@ -231,21 +231,24 @@ def by_finer(
     target: float,
 ) -> list[Plan]:
     """Return the plans that replace the ``texels`` of a picture, in ``chunks`` chunks, by finer
-    ones: a plan for each rung that these may climb to.
+    ones, twice as many along each axis: a plan for each rung that these may climb to, as far as the
+    ``target`` error allows.
 
     ``errors`` (m,) are the squared errors of points at the present ``rung``; ``noise`` (m,) is the
-    part of them that more samples reduce. The other part falls to the share CLOSER at once.
+    part of them that samples reduce; if it is larger than the error, all of the error counts as
+    noise. The other part falls to the share CLOSER at once.
     """
     interpolation = CLOSER * np.maximum(errors - noise, 0.0)
-    finer = FINER_TEXELS_FACTOR * texels
+    count = FINER_TEXELS_FACTOR * texels
     plans = []
     # Finer texels begin without light, at the first rung.
     for rungs, level in enumerate([FIRST_LEVEL, *rungs_above(FIRST_LEVEL, target)], start=1):
-        # Samples double from the present rung to this level, or halve: the noise follows.
+        # The noise is that of ``rung`` samples. Each doubling from there to ``level`` multiplies it
+        # by QUIETER; if ``level`` is lower, each halving divides it by QUIETER.
         left = interpolation + QUIETER ** math.log2(level / rung) * np.minimum(noise, errors)
         tasks = FINER_TEXELS_FACTOR * rungs * chunks
         choice = pixels.choose(left)
-        plans.append(Plan(choice, rungs, finer * level, finer * FIRST_LEVEL, tasks, finer=True))
+        plans.append(Plan(choice, rungs, count * level, count * FIRST_LEVEL, tasks, finer=True))
     return plans
 
 

@@ -148,10 +148,14 @@ def noise_of(wrong: np.ndarray, classes: np.ndarray) -> np.ndarray:
 
 
 def likelihoods(wrong: np.ndarray, variance: np.ndarray) -> np.ndarray:
-    """Return the likelihood of the measured error of each control if its true error is each of
-    ERRORS, of either sign; (k, errors), scaled so that the largest of each control is 1.
+    """Return the likelihood of the measured error of each control, the mean of its two errors
+    ``wrong`` (k, 2), if its true error has the same sign and the size of each of ERRORS; (k,
+    errors), scaled so that the largest of each control is 1.
 
-    The noise of a control has the ``variance`` (k,), and is taken to be normal.
+    The noise of that mean has the ``variance`` (k,), and is taken to be normal. A true error of the
+    other sign is left out: for a measured size s and a true size E it is less likely by the factor
+    exp(-2 s E / variance), which is near 1 only if s E is far below the variance. A measured size
+    above 1 counts as 1.
     """
     seen = np.minimum(np.abs(wrong.mean(axis=1)), 1.0)[:, None]
     spread = np.maximum(variance, MIN_ERROR**2)[:, None]

@@ -56,7 +56,7 @@ def mixed(
     """Mix the readings of texels, and their light (texels, LIGHT_NUMBERS), that were ``found`` at
     several levels.
 
-    A texel is as good as at its worst level. If it holds no light at some level, the others stand
+    A texel has the grade of ``worst_of``. If it holds no light at some level, the others stand
     in: with their share alone while it is to be baked, with all of the light if it is buried there.
     """
     if len(found) == 1:
@@ -99,11 +99,14 @@ def mixed(
 
 
 def worst_of(grades: np.ndarray) -> np.ndarray:
-    """Return the worst of texels' ``grades`` (levels, texels): partly lit if some level has light
-    and some has none, buried if all are.
+    """Return the worst grade of each texel at any level, by its ``grades`` (levels, texels);
+    (texels,) uint8.
 
-    Void texels are so by their position, and thus at all levels.
+    A texel that is unbaked at some level and has light at another one is partly lit. Levels at
+    which it is buried count only if it is buried at all of them. Void texels are so by their
+    position, and thus at all levels.
     """
+    # Grades ascend from UNBAKED_GRADE over those of light to BURIED_GRADE.
     worst = grades.min(axis=0)
     lit = ((grades != UNBAKED_GRADE) & (grades != BURIED_GRADE)).any(axis=0)
     worst[lit & (worst == UNBAKED_GRADE)] = PARTIAL_GRADE

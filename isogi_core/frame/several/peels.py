@@ -79,9 +79,12 @@ class SideLayers:
 
     @property
     def each(self) -> Iterator[tuple[slice, np.ndarray]]:
-        """Yield for each layer the rows of its points, and their picture indices in it, each
-        once.
+        """Yield (rows, pixels) for each layer, the front one first: the rows of its points in the
+        G-buffer and in ``weights``, and their picture indices in a single picture, uint32. No index
+        occurs twice in a layer.
         """
+        # Layer k shifts picture indices by k · size. The indices of the G-buffer ascend, so its
+        # points are sorted by layer.
         height, width = self.gbuffer.shape
         size = height // self.layers * width
         places = self.gbuffer.pixels

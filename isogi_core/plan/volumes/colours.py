@@ -63,9 +63,11 @@ USUAL_EVEN = 90.0
 MIN_PERCENTILE_VALUES = 64
 """Least number of values from which percentiles are taken."""
 
-Layer = Callable[[float, np.ndarray, np.ndarray], None]
-"""Function that fills values (ny, nx) float32 at places of layer z that are a step (3,) of
-voxels apart; NaN if a place has none.
+FillPlane = Callable[[float, np.ndarray, np.ndarray], None]
+"""Function of z, step and values that fills ``values`` (ny, nx) float32 at places in the plane z of
+the scene's volume; NaN if a place has none.
+
+``z`` is in voxels, and the places are ``step`` (3,) voxels apart along x, y and z.
 """
 
 
@@ -111,8 +113,8 @@ def read_colours(
 
     Raises SceneError, and VolumeError if a file cannot be read.
     """
-    name, layer, factor = source_of(table, settings, volume)
-    return coloured(table, name, volume, layer, factor, volume.normalise_isovalue(isovalue))
+    name, fill, factor = source_of(table, settings, volume)
+    return coloured(table, name, volume, fill, factor, volume.normalise_isovalue(isovalue))
 
 
 def read_colour_table(table: Settings) -> ColourTable:
@@ -170,23 +172,29 @@ def capped(albedo: Colour | list[float]) -> Colour:
     return triple(np.minimum(albedo, MAX_ALBEDO))
 
 
-def source_of(table: ColourTable, settings: Settings, volume: Volume) -> tuple[str, Layer, float]:
-    """Return the source of values: their name, a function that fills a layer with them, and the
-    factor on filled values.
+def source_of(
+    table: ColourTable, settings: Settings, volume: Volume
+) -> tuple[str, FillPlane, float]:
+    """Return the source of the values that colours show, by a scene's ``table``: their name, a
+    function that fills a plane with them, and a factor.
+
+    Filled values times the factor are in the units of the table's file; gradient and curvature are
+    in those of ``layers_of``. ``volume`` is all of the scene's volume, before a cut. Raises
+    SceneError and VolumeError.
     """
     if table.of is not None:
         return table.of, *layers_of(table.of, volume)
     voxels, matrix = placed_file(table.file, settings, volume)
 
     def _sample(z: float, step: np.ndarray, values: np.ndarray) -> None:
-        """Fill a layer with the file's values."""
+        """Fill a plane with the file's values."""
         sample_layer(voxels, matrix, z, step, values)
 
     return stem_of(Path(table.file), {}), _sample, 1.0
 
 
-def layers_of(of: str, volume: Volume) -> tuple[Layer, float]:
-    """Return a function that fills a layer with gradient or curvature ``of`` the ``volume``, and
+def layers_of(of: str, volume: Volume) -> tuple[FillPlane, float]:
+    """Return a function that fills a plane with gradient or curvature ``of`` the ``volume``, and
     the factor that brings its values to units of the file: values per length, or 1 over length.
     """
     # In units of the shortest spacing, slopes stay far from the limits of float32.
@@ -194,12 +202,12 @@ def layers_of(of: str, volume: Volume) -> tuple[Layer, float]:
     spacing = np.array(volume.spacing) / shortest
 
     def _slope(z: float, step: np.ndarray, values: np.ndarray) -> None:
-        """Fill a layer with the length of the gradient."""
+        """Fill a plane with the length of the gradient."""
         slope_layer(volume.voxels, spacing, z, step, values)
 
     def _bend(z: float, step: np.ndarray, values: np.ndarray) -> None:
-        """Fill a layer with the mean curvature of the isosurfaces through its places."""
-        # Curvature smooths over neighbours, so find it at all voxels of the layer, and then take
+        """Fill a plane with the mean curvature of the isosurfaces through its places."""
+        # Curvature smooths over neighbours, so find it at all voxels of the plane, and then take
         # the places that are a step apart.
         whole = mean_curvature(volume.voxels, spacing, int(z))
         places = [
@@ -307,24 +315,29 @@ def volume_grids(settings: Settings, volume: Volume) -> tuple[Grid, Grid]:
 
 
 def coloured(
-    table: ColourTable, name: str, volume: Volume, layer: Layer, factor: float, isovalue: Isovalue
+    table: ColourTable,
+    name: str,
+    volume: Volume,
+    fill: FillPlane,
+    factor: float,
+    isovalue: Isovalue,
 ) -> SurfaceColours:
-    """Return the colours of a ``volume`` whose values a ``layer`` function fills, times the
+    """Return the colours of a ``volume`` by values that a function ``fill`` gives, times the
     ``factor``.
     """
     # A large volume has codes some voxels apart.
     step = max(math.ceil((math.prod(volume.shape) / MOST_CODES) ** (1.0 / 3.0)), 1)
     source = table.file or f"its {table.of}"
     span = table.span or usual_span(
-        volume, layer, factor, isovalue, source, even=table.of == "curvature"
+        volume, fill, factor, isovalue, source, even=table.of == "curvature"
     )
     shape = [max(math.ceil((n - 1) / step) + 1, 2) for n in volume.shape]
     codes = np.empty(shape, np.uint8)
     values = np.empty(shape[1:], np.float32)
     steps = np.full(3, float(step))
-    # Fill a layer at a time with values, and keep their codes.
+    # Fill a plane at a time with values, and keep their codes.
     for z in range(shape[0]):
-        layer(float(min(z * step, volume.shape[0] - 1)), steps, values)
+        fill(float(min(z * step, volume.shape[0] - 1)), steps, values)
         codes[z] = codes_of(factor * values.astype(np.float64), span)
     if table.map:
         colours = table_of(table.map)
@@ -343,7 +356,12 @@ def codes_of(values: np.ndarray, span: tuple[float, float]) -> np.ndarray:
 
 
 def usual_span(
-    volume: Volume, layer: Layer, factor: float, isovalue: Isovalue, source: str, even: bool = False
+    volume: Volume,
+    fill: FillPlane,
+    factor: float,
+    isovalue: Isovalue,
+    source: str,
+    even: bool = False,
 ) -> tuple[float, float]:
     """Return the COLOUR_PERCENTILES of values at the surface of an ``isovalue``; of all values if
     that surface hardly exists.
@@ -354,7 +372,7 @@ def usual_span(
     everywhere = []
     for z in np.unique(np.linspace(0, volume.shape[0] - 1, SAMPLED_LAYERS).round()).astype(int):
         values = np.empty(volume.shape[1:], np.float32)
-        layer(float(z), np.ones(3), values)
+        fill(float(z), np.ones(3), values)
         # A voxel is at the surface if a neighbour along x or y is on the other side.
         inside = volume.voxels[z] > isovalue
         border = np.zeros_like(inside)

@@ -143,7 +143,7 @@ def linear_hex(code: str) -> Colour:
 @dataclass(frozen=True, eq=False)
 class Segmentation:
     """A ``grid`` of labels, whole numbers of which 0 is no label, and the labels that a scene
-    has ``listed``.
+    has ``listed``. Labels that are not listed are shown, too.
     """
 
     grid: Grid
@@ -183,12 +183,17 @@ class Segmentation:
 
     @cached_property
     def labels(self) -> tuple[Label, ...]:
-        """All labels that occur. Raises SceneError and VolumeError if they cannot be shown."""
+        """All labels that occur, hidden ones included, ascending by value.
+
+        Raises VolumeError if there is none, if a value is no whole number or too large, or if more
+        than MAX_LABELS are shown. Raises SceneError if the scene lists a label that does not occur,
+        or if all are hidden.
+        """
         values = [value for value in self.values.tolist() if value]
         if not values:
             raise VolumeError("The segmentation has no label: every voxel is 0.")
-        tables = {label.value: label for label in self.listed}
-        named = {label.value: label for label in self.grid.labels or ()}
+        in_scene = {label.value: label for label in self.listed}
+        in_file = {label.value: label for label in self.grid.labels or ()}
         lacking = next((label for label in self.listed if label.value not in values), None)
         if lacking is not None:
             there = ", ".join(map(str, values[:8])) + (" …" if len(values) > 8 else "")
@@ -198,7 +203,9 @@ class Segmentation:
         # Colours of the palette follow the places of all labels, so that hiding one does not change
         # the others.
         found = tuple(
-            _label(place, tables.get(value, LabelTable(value)), named.get(value, LabelName(value)))
+            _label(
+                place, in_scene.get(value, LabelTable(value)), in_file.get(value, LabelName(value))
+            )
             for place, value in enumerate(values)
         )
         shown = sum(label.shown for label in found)

@@ -135,7 +135,9 @@ FORBIDDEN = (
 
 
 def needed_scope(scope: Scope) -> str:
-    """Return the scope that the token of a request or socket must have."""
+    """Return the right, one of TOKEN_SCOPES, that a token needs for a request or socket with this
+    ASGI ``scope``.
+    """
     if scope["path"] == "/metrics":
         return "admin"
     if scope["type"] == "websocket" or scope["method"] in SAFE:
@@ -185,13 +187,14 @@ class TokenBearers:
         self.tokens = [Token(bearer) for bearer in bearers]
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass the request on if its token allows it. A page that is opened with a token in its
-        address gets the cookie.
+        """Pass the request on if its token allows it, and mark the answer as private; else answer
+        401 or 403. A page that is opened with a token in its address gets a redirect that sets the
+        cookie.
         """
         if scope["type"] not in ("http", "websocket"):
             await self.app(scope, receive, send)
             return
-        # Probes are answered with or without a token.
+        # Probes are answered with or without a token; with one, the answers have details.
         if scope["path"] in OPEN_PATHS:
             token = self.known(Headers(scope=scope))
             if token:
@@ -201,14 +204,14 @@ class TokenBearers:
             await self.app(scope, receive, send)
             return
         headers = Headers(scope=scope)
-        # A token in the page's address takes precedence over a cookie that may be older.
+        # A token in the page's address takes precedence over a cookie, which may be older: if it is
+        # wrong, the cookie does not help.
         given = self.given(scope)
         if given is not None and (token := self.shown(given.encode(errors="replace"))):
             await self.admission(scope, token)(scope, receive, send)
         elif given is None and (token := self.known(headers)):
-            await self.passed(scope, token.bearer)(
-                scope, receive, lambda message: send(private(message))
-            )
+            answering = self.passed(scope, token.bearer)
+            await answering(scope, receive, lambda message: send(private(message)))
         else:
             await self.refusal(scope, headers)(scope, receive, send)
 

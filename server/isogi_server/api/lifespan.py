@@ -251,13 +251,14 @@ class Startup:
         self.lit.set()
 
     async def _compile(self, survey: Callable[[Scene], None]) -> None:
-        """Compile kernels of light, ``survey`` scenes, then compile the kernels that scenes do
-        not need by default.
+        """Compile and load kernels of light unless ``run`` did so, then ``survey`` scenes, then
+        compile the kernels that scenes do not need by default. An error is kept as ``failure``.
         """
         try:
             if not (self.failure or self.lit.is_set()):
                 await self._light()
-            for scene in [] if self.failure else list(self._engine.scenes.values()):
+            scenes = [] if self.failure else list(self._engine.scenes.values())
+            for scene in scenes:
                 if self._closing:
                     break
                 await asyncio.to_thread(survey, scene)
@@ -265,8 +266,8 @@ class Startup:
         except Exception as error:
             self.failure = error
         finally:
-            # Requests that wait for kernels go on, also after a failure: drawing raises an error
-            # then.
+            # Requests that wait for kernels go on, also after a failure: drawing then raises an
+            # error.
             self.lit.set()
             self._all.set()
 

@@ -47,7 +47,9 @@ from isogi_worker.errors import WorkersError
 from isogi_worker.progress import TimeLeft
 
 SURVEY_WAIT_SECONDS = 5.0
-"""Seconds for which the frame of a survey yields to other frames."""
+"""Seconds until the frame of a prewarm is due. Of frames whose clients were served alike, the one
+that is due first is drawn first: see ``Rank``.
+"""
 
 FRAME_CHECK_SECONDS = 0.1
 """Seconds between two checks for cancellation while a frame is awaited."""
@@ -224,7 +226,8 @@ class Prewarm:
         order is cancelled.
         """
         coming = asyncio.run_coroutine_threadsafe(self._frame(picture), loop)
-        # Look for cancellation between waits, as the frame may take long.
+        # Look for cancellation between waits, as the frame may take long. A wait that is over
+        # raises TimeoutError.
         try:
             while True:
                 with suppress(TimeoutError):
@@ -239,6 +242,8 @@ class Prewarm:
         or have streams open.
         """
         begun = time.monotonic()
+        # All prewarms are one client for the threads that draw. For the workers each is a separate
+        # one: see ``_run``.
         rank = self.service.rank(BACKGROUND_VIEWER, SURVEY_WAIT_SECONDS)
         frame = await self.service.frame(picture, rank, Stopwatch())
         if self.service.attended:

@@ -209,8 +209,8 @@ class SafeHeaders:
         async def guarded(message: Message) -> None:
             if message["type"] in ("http.response.start", "websocket.http.response.start"):
                 headers = MutableHeaders(scope=message)
-                # An answer without content keeps the policy that the client has stored with it: the
-                # headers of a 304 would take its place, and block what the page loads.
+                # A 304 gets no policy. It has no content type, so it would get the policy of other
+                # answers, and a browser would apply this to the page that it has stored.
                 if message["status"] != HTTPStatus.NOT_MODIFIED:
                     page = headers.get("content-type", "").startswith("text/html")
                     policy = PAGE_POLICY if page else OTHER_POLICY

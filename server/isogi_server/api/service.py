@@ -286,11 +286,12 @@ class Service:
     async def show(
         self, picture: PictureRequest, viewer: Viewer, rank: Rank, watch: Stopwatch | None = None
     ) -> Shown:
-        """Return the picture with the light baked so far, and request the light that it lacks
-        for the ``viewer``.
+        """Draw the picture with the light baked so far, and request the light that it lacks for the
+        ``viewer``. Return the answer; the caller sends it.
         """
         watch = watch or Stopwatch()
-        # Light that comes from now on may be missing in the frame.
+        # Take the number before drawing: light that comes from now on may be missing in the frame,
+        # and gets a higher one.
         since = self._newest(picture)
         frame = await self.frame_or_preview(picture, rank, watch)
 
@@ -305,8 +306,9 @@ class Service:
     async def request_light(
         self, picture: PictureRequest, frame: Frame, viewer: Viewer
     ) -> frozenset[Index]:
-        """Request the light that a frame lacks; return the chunks that will be baked. Nothing
-        is requested for a viewer that may not bake.
+        """Request the light that a frame lacks. Return the chunks that will be baked, with CHECK if
+        the picture will be checked: see ``RenderEngine.want``. Nothing is requested for a viewer
+        that may not bake.
         """
         if not viewer.bakes:
             return frozenset()
@@ -319,14 +321,15 @@ class Service:
         return await self.threads.asking.run(left, Rank.within(DRAFT))
 
     async def frame(self, picture: PictureRequest, rank: Rank, watch: Stopwatch) -> Frame:
-        """Return the frame of a picture, drawn once for all requests that come meanwhile. It
-        requests no light.
+        """Draw the frame of a picture with the light that is there, and request none. Requests for
+        the same frame that come while it is drawn get it, too.
 
-        A request that joins another one counts its time as time in the queue. Waits until kernels
-        of light are compiled; for other shadings raises BusyError if their kernels take too long.
+        A request that joins another one counts its time as time in the queue. Shadings with texels
+        wait until kernels of light are loaded. All others except sketches wait for kernels of their
+        own; raises BusyError if these take too long.
         """
-        # Wait for the kernels that this shading needs. Sketches need no wait, but edges are
-        # smoothed only with all kernels.
+        # Wait for the kernels that this shading needs. Sketches need no wait, but their edges are
+        # not smoothed before kernels of light are loaded.
         if picture.view.shading in SPECS:
             await self.startup.lit.wait()
         elif picture.view.shading in SKETCHES:
@@ -342,7 +345,7 @@ class Service:
             return frame
 
         # The newest update is part of the key: a request after new light does not join a drawing
-        # that began before it.
+        # that began before it. Stages that ``work`` times do not count as time in the queue.
         with watch.stage("queue"):
             return await self.threads.drawing(picture.view).share(
                 (picture, self._newest(picture)), work, rank
@@ -689,8 +692,9 @@ class Shown:
     """The answer to a picture request: a ``frame``, the time until it is final, and the ``watch``
     that timed its stages.
 
-    ``coming`` are the chunks that will be baked for it; ``since`` is the number of the newest
-    update of light when the frame was begun. Its ``place`` in memory is left once it is encoded.
+    ``coming`` are the chunks that will be baked for it, with CHECK if its picture will be checked;
+    ``since`` is the number of the newest update of light when the frame was begun. Its ``place`` in
+    memory is left once it is encoded.
     """
 
     frame: Frame

@@ -114,8 +114,8 @@ def time_of_paths(
 
 
 REMEMBERED = 4096
-"""Variants whose changes are remembered after they were dropped, so that they can be made
-again: the ones made last.
+"""Variants whose changes are remembered, so that they can be made again after they were dismissed:
+the ones made last.
 """
 
 READ_ONLY = (
@@ -179,6 +179,9 @@ class RenderEngine:
         self._promises = Promises()
         self._listeners: list[Listener] = []
         self.again: Callable[[str], Scene | None] = lambda _: None
+        """Makes the variant with an id again after it was dismissed, and admits it; returns None if
+        the id is no variant's. Set by ``Variants``; an engine without them makes none.
+        """
         self._stopped = threading.Event()
         self.kernels = SceneKernels(lambda: list(self.scenes.values()), self._stopped)
 
@@ -395,27 +398,36 @@ class RenderEngine:
         return None
 
     def want(self, scene: str, frame: Frame, goal: Goal, viewer: Viewer) -> frozenset[Index]:
-        """Request the light that a ``frame`` lacks for its ``goal``, for a ``viewer``; return the
-        chunks that will be baked.
+        """Request everything that a ``frame`` needs next for its ``goal``, for a ``viewer``: a
+        check of its picture, light of texels, or both.
 
-        If the frame lacks no texels, its picture is checked instead. If only its walls lag, they
-        are lit while texels are baked. CHECK stands for either in the returned set.
+        A check is requested if the frame is refinable. Light of texels is requested unless the
+        frame is checkable, or the store is only read. A checkable frame needs none now: its texels
+        have all the light that they are to have until the check asks for more, or paths of pixels
+        light it, or the check has to decide first between texels and paths. Both are requested if
+        walls lag, or the present light is to be measured, and the frame is not checkable.
+
+        Return the chunks that will be baked or were baked since the frame was drawn, and CHECK if a
+        check was requested.
         """
         checking = frozenset({CHECK} if frame.refinable else ())
+        # Idle baking, which is for final pictures by paths alone, stops while another picture needs
+        # the processors.
         if frame.view.moving or not frame.final:
             self._idle.disturb()
         elif frame.by_paths:
             self._idle.add(Picture(scene, frame.view, goal))
         if checking:
-            # A picture with a part of its light is measured only if the rest takes its time.
-            waits = frame.unmeasured and not self.store.only_read()
-            delay = LIGHT_PATIENCE_SECONDS if waits else 0.0
+            # Give the rest of the light some time to come before a picture with a part of it is
+            # measured. No more light comes if the store is only read.
+            more_light_comes = frame.unmeasured and not self.store.only_read()
+            delay = LIGHT_PATIENCE_SECONDS if more_light_comes else 0.0
             self._checks.request(scene, frame.view, goal, viewer, delay)
         else:
             self._checks.leave(viewer)
-        # A picture that is checked needs no texels now, and a store that is only read takes none.
         if frame.checkable or self.store.only_read():
             return checking
+        # Load the scene if it was dropped from memory: loading adds its bakes to the baker.
         self._find(scene)
         bake, stage = self.lacking(scene, frame)
         return checking | self.baker.request(bake, stage.demands, stage.goal, viewer)
@@ -619,15 +631,17 @@ class RenderEngine:
         return Goal.checked(self._find(scene).scene.target_error)
 
     def _find(self, scene: str) -> LoadedScene:
-        """Return a scene, loaded if need be; a variant that was dropped is made again. Raises
-        StoreError and UnknownSceneError.
+        """Return a scene, loaded if need be; a variant that was dismissed is made again. Raises
+        StoreError, the errors of ``again``, and UnknownSceneError if the scene is gone, or is a
+        variant of one that is gone.
         """
         named = self.scenes.get(scene) or self.again(scene)
         if named is not None:
             loaded = self._loaded.at(named)
+            # Keep nothing in memory of a scene that was dismissed while it was loaded.
             if scene not in self.scenes:
                 self._loaded.drop(scene)
-            # A variant that was dismissed meanwhile is drawn to its end, if its scene is there.
+            # Frames of a variant that was dismissed meanwhile are completed if its scene is there.
             if self.variant(scene).base in self.scenes:
                 return loaded
         raise UnknownSceneError(f"The scene '{self.variant(scene).base}' is not shown any more.")
@@ -681,8 +695,12 @@ class RenderEngine:
 
 
 def engine_for(scene: Scene, settings: Settings, with_workers: bool = True) -> RenderEngine:
-    """Make an engine for a ``scene`` by a command's ``settings``. It joins the scheduler of the
-    settings only if ``with_workers``.
+    """Make an engine for a ``scene`` by a command's ``settings``. Nothing is loaded before it is
+    started, with or without workers.
+
+    If it will be started without workers, pass False for ``with_workers``. The engine then ignores
+    the scheduler of the settings, so that it does not copy the scene's files to the store for
+    workers of that scheduler.
     """
     scheduler = scheduler_of(settings) if with_workers else None
     memory = settings.memory_mb << 20

@@ -42,8 +42,10 @@ class EngineWorkers:
     """
 
     def __init__(self, baker: Baker, store: StoreUrl, workers: int, scheduler: str | None) -> None:
-        """Start none yet: ``workers`` processes of this machine, or those of a ``scheduler``,
-        that bake light into a store.
+        """Keep what ``start`` needs; no worker is started yet.
+
+        The workers will be those of the ``scheduler`` with this address or, if it is None, as many
+        processes of this machine as ``workers`` says. They bake light into the ``store``.
         """
         self._baker = baker
         self._store = store
@@ -54,8 +56,8 @@ class EngineWorkers:
         self._stopped = threading.Event()
         self._error: IsogiError | None = None
         self.after_kernels = False
-        """True if they start after kernels are compiled; until then pictures without light are
-        drawn, and missing workers are no trouble.
+        """True if the workers are started only once kernels are compiled. Before they have started,
+        pictures without light are drawn, and ``trouble`` does not report that there are no workers.
         """
 
     @property

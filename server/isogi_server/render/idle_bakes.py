@@ -111,15 +111,18 @@ class IdleBakes:
                 log.exception("The texels of a picture could not be baked while nobody waited.")
 
     def _next(self) -> Picture | None:
-        """Return the newest picture once nobody has waited for a while; None if closed."""
+        """Take the newest picture and return it, once there is one and nobody has waited for a
+        picture in the last QUIET_SECONDS; return None if closed.
+        """
         with self._changed:
             while not self._closed:
-                quiet = time.monotonic() - self._disturbed
-                if self._pictures and not self._waiting and quiet >= QUIET_SECONDS:
+                quiet_seconds = time.monotonic() - self._disturbed
+                ready = bool(self._pictures) and not self._waiting
+                if ready and quiet_seconds >= QUIET_SECONDS:
                     return self._pictures.popitem()[0]
-                # Sleep until it is quiet, or until somebody adds a picture or stops waiting.
-                soon = bool(self._pictures) and not self._waiting
-                self._changed.wait(QUIET_SECONDS - quiet if soon else None)
+                # Sleep until it has been quiet for long enough; if there is no picture, or somebody
+                # waits, until that changes.
+                self._changed.wait(QUIET_SECONDS - quiet_seconds if ready else None)
             return None
 
     def _bake(self, picture: Picture) -> None:

@@ -249,6 +249,7 @@ class StoreCollector(Collector):
             ),
         ):
             family = CounterMetricFamily(name, about, labels=["call"])
+            # Iterate over a copy: a call of another thread may add a kind meanwhile.
             for kind, number in list(counts.items()):
                 family.add_metric([kind], number)
             yield family

@@ -81,8 +81,12 @@ class StoreProbe:
 
 
 def existing_store(settings: Settings) -> Store:
-    """Open the store of the settings, for its upkeep. Raises StoreError if there is none."""
+    """Open the store of the settings for its upkeep, without local copies. Never make one: raise
+    StoreError if there is none.
+    """
     place = place_of(settings)
+    # If there is no such folder, its name is probably wrong. ``open`` would take the store for one
+    # that has vanished, and advise to bring it back.
     if place.scheme == "file" and not place.folder.is_dir():
         raise StoreError(
             f"There is no store at {place}: name the folder or URL that light was baked into."

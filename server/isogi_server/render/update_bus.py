@@ -81,10 +81,13 @@ class UpdateBus:
             self._loop.call_soon_threadsafe(self._note, bake, index, more)
 
     def newest(self, bake: str) -> int:
-        """Return the number of the newest update of a bake; 0 if it had none. Of a bake that had
-        none for long it is the number of a later update of another bake.
+        """Return a number that no update of a bake has exceeded: that of its newest one, or if
+        more have been forgotten, the largest that was forgotten with any bake or chunk; else 0.
         """
-        return self._newest_of_bake.get(bake, self._bakes_forgotten_to)
+        # Chunks without an entry count as updated at the number that was forgotten last: a frame
+        # that is drawn now has seen all updates up to it.
+        number = self._newest_of_bake.get(bake, self._bakes_forgotten_to)
+        return max(number, self._chunks_forgotten_to)
 
     @contextmanager
     def pending(
@@ -93,9 +96,12 @@ class UpdateBus:
         """Yield the events of ``chunks`` of a bake while the block runs. Some of the chunks are
         ``dark``: they had no light in the frame that was drawn last.
 
-        All updates with numbers above ``since``, the newest one when that frame was drawn, set
-        events, also those that came before this call. If updates since then are forgotten, the
-        chunks count as updated, so that the frame is drawn again, once in vain at most.
+        ``since`` is the answer of ``newest`` for this bake before that frame was drawn. Updates of
+        the chunks with larger numbers set events, also those that came before this call.
+
+        If an update of a chunk with a larger number may have been forgotten, the chunk counts as
+        updated for the last time: a frame that is drawn again in vain is better than one that waits
+        for an update that has passed.
         """
         pending = Pending(bake, set(chunks), set(dark))
         # Catch up with the updates since the frame was drawn.

@@ -104,7 +104,7 @@ class Variants:
         engine.again = self.again
         self._making = threading.Lock()
         self._lock = threading.Lock()
-        self._turns = Renders(1, late=VARIANTS_TAKEN)
+        self._queue = Renders(1, late=VARIANTS_TAKEN)
         self._patience = patience
         self._compiling: threading.Thread | None = None
 
@@ -117,27 +117,31 @@ class Variants:
         errors of ``make``.
         """
         variant = SceneVariant.of(scene, change)
-        unturned = await self._of(scene, variant.unturned, client)
-        # A turn makes a variant only if light is baked for each turn.
+        unturned = await self._find_or_make(scene, variant.unturned, client)
+        # Unless light is baked for each turn, views turn the light of the unturned scene: all turns
+        # share it. The environment, material and plan of that scene decide, so make it first.
         if variant.turn is None or not unturned.lighting.baked_by_turn:
             return unturned
-        return await self._of(scene, variant, client)
+        return await self._find_or_make(scene, variant, client)
 
-    async def _of(self, scene: Scene, variant: SceneVariant, client: Hashable) -> Scene:
-        """Return a ``variant`` of the scene, made if need be. Raises as ``of`` does."""
-        # Answer at once if nothing is to be made, or if the environment's name is wrong.
+    async def _find_or_make(self, scene: Scene, variant: SceneVariant, client: Hashable) -> Scene:
+        """Return a ``variant`` of the scene, made on the thread of the queue if there is none yet.
+        Raises as ``of`` does.
+        """
+        # Do not queue if nothing is to be made, or if the environment's name is wrong.
         if not variant.any:
             return scene
         place = self._placed(variant)
         if (known := self.known(variant.id)) is not None:
             return known
         # Every client has the same weight, 1, and all its variants are equally urgent, due in 0 s.
-        turn = Rank.within(0.0, self._patience, self._turns.client(client, 1.0))
-        return await self._turns.run(lambda: self.make(scene, variant, place), turn)
+        # A request gives up if it has not had its turn after ``patience`` seconds.
+        rank = Rank.within(0.0, longest=self._patience, client=self._queue.client(client, 1.0))
+        return await self._queue.run(lambda: self.make(scene, variant, place), rank)
 
     def close(self) -> None:
         """Make no more variants."""
-        self._turns.close()
+        self._queue.close()
 
     def _placed(self, variant: SceneVariant) -> str | None:
         """Return a variant's environment as scene files name it; None if it is its scene's.

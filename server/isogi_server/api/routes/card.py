@@ -152,17 +152,19 @@ async def read_card(
 async def read_voxels(
     request: Request, scene: SceneDep, layers: str, params: VoxelParamsDep, service: ServiceDep
 ) -> Response:
-    """Return codes of the voxels in some layers along z, x fastest. The document of the card
-    says what codes stand for.
+    """Return codes of the voxels in some layers along z, x fastest. The layers are named as
+    first-last, without the last. The document of the card says what codes stand for.
     """
-    shown = await open_scene(request, service, scene, params)
+    variant = await open_scene(request, service, scene, params)
 
     def work() -> Response:
-        prepared = service.engine.renderer(shown.id).prepared
+        prepared = service.engine.renderer(variant.id).prepared
         codes = prepared.voxel_codes
-        first, last = layers_of(layers, codes.shape[0], max(b - a for a, b in codes.slabs))
-        body = codes.code(shown.volume.voxels[first:last]).tobytes()
-        return binary_answer(request, [Part(body)], params.version == voxel_version(shown))
+        # An answer holds at most as many layers as a slab, so that its memory is bounded.
+        most = max(b - a for a, b in codes.slabs)
+        first, last = layers_of(layers, codes.shape[0], most)
+        body = codes.code(variant.volume.voxels[first:last]).tobytes()
+        return binary_answer(request, [Part(body)], params.version == voxel_version(variant))
 
     return await service.compute(request, work)
 
@@ -177,18 +179,19 @@ async def read_colours(
     request: Request, scene: SceneDep, layers: str, params: VoxelParamsDep, service: ServiceDep
 ) -> Response:
     """Return the codes of colours by data in some layers along z, place by place, x fastest: a byte
-    for each place, or three if the colours are of labels. The document of the card says what codes
-    stand for.
+    for each place, or three if the colours are of labels. The layers are named as first-last,
+    without the last. The document of the card says what codes stand for.
     """
-    shown = await open_scene(request, service, scene, params)
+    variant = await open_scene(request, service, scene, params)
 
     def work() -> Response:
-        found = ColourCodes.of(shown)
+        found = ColourCodes.of(variant)
         if found is None:
             raise UnknownPartError("This scene has no colours by data.")
         # The codes of all places: (nz, ny, nx), or (nz, ny, nx, 3) for labels.
         depth = len(found.colours.places)
-        first, last = layers_of(layers, depth, max(b - a for a, b in found.slabs))
+        most = max(b - a for a, b in found.slabs)
+        first, last = layers_of(layers, depth, most)
         body = found.layers(first, last).tobytes()
         return binary_answer(request, [Part(body)], params.version == found.version)
 

@@ -121,7 +121,8 @@ async def events_of(
                     )
                     kind, facts = event_of(service, shown, viewer)
                     name = id_of(kind, shown.frame.version)
-                    # Free megabytes while the client listens and light is baked.
+                    # Keep no picture here, so that its megabytes are free while light is baked:
+                    # ``answers`` drops it when it is asked for the next one.
                     shown.place.leave()
                     del shown
                     if kind == "failed" or name != seen:
@@ -146,7 +147,8 @@ async def answers(
     """Yield each answer to a picture request, and None after TIME_LEFT_SECONDS seconds without a
     new one.
 
-    No answer is kept while the next one is awaited, as a picture takes megabytes.
+    A picture takes megabytes. The one that was yielded is kept here until the caller asks for the
+    next one, and is let go while that is made.
     """
     async with aclosing(service.refinements(picture, viewer)) as refinements:
         coming = asyncio.ensure_future(anext(refinements, None))
@@ -156,7 +158,7 @@ async def answers(
                 if not done:
                     yield None
                     continue
-                # The set would hold the picture as well.
+                # Besides ``coming``, the set would hold the picture until the next one has come.
                 done.clear()
                 if coming.result() is None:
                     return
@@ -166,7 +168,7 @@ async def answers(
             # Wait until the generator has really ended, so that ``aclosing`` can close it.
             coming.cancel()
             while not coming.done():
-                # A scope that was cancelled cancels each wait again.
+                # A cancelled scope of anyio, in which the answer is sent, cancels each wait again.
                 with suppress(asyncio.CancelledError):
                     await asyncio.wait({coming})
 

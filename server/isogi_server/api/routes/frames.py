@@ -175,11 +175,13 @@ class InTurn(StreamingResponse):
             place.leave()
 
     async def _send_part(self, send: Send, room: Room, message: Message) -> None:
-        """Send a part of the answer by ``send``. Raises StalledError if the client has not taken it
-        after SLOWEST_PART seconds, or a multiple of these, and other answers wait for the ``room``.
+        """Send a part of the answer by ``send``. While the client has not taken it, look every
+        SLOWEST_PART seconds for other answers that wait for the ``room``. Raises StalledError if
+        there are any.
         """
         sending = asyncio.ensure_future(send(message))
         try:
+            # Each wait returns the set of what is done: empty, or with the sending.
             while not (await asyncio.wait({sending}, timeout=SLOWEST_PART))[0]:
                 if room.crowded:
                     raise StalledError
