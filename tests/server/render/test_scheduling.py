@@ -385,6 +385,16 @@ async def test_updates_are_remembered_for_some_time(monkeypatch: pytest.MonkeyPa
         assert waiting.some.is_set()
 
 
+async def test_a_quiet_bake_waits_while_others_are_forgotten(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(update_bus, "MOST_UPDATES", 2)
+    updates = UpdateBus()
+    await publish(updates, ("gi", A, False), *(("near", each, True) for each in (A, B, C)))
+    with updates.pending("gi", {A}, updates.newest("gi")) as waiting:
+        assert not waiting.some.is_set(), "nothing is new since a frame that is drawn now"
+
+
 @IN_NO_TIME
 async def test_a_client_that_comes_anew_is_not_behind_all_that_waits(turns: Turns) -> None:
     """Requests of one address have waited for long; the draft of a stream that comes now has its
