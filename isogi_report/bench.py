@@ -130,7 +130,7 @@ class ViewBake(Bake):
         """Find the texels, in the order of the view's own numbers."""
         self.renderer = renderer
         self.view = view
-        self.shown = renderer.texels(view, renderer.gbuffer(view))
+        self.shown = renderer.surface.texels(view, renderer.gbuffer(view))
         spec = renderer.caches.spec(view.shading)
         places = self.shown.positions
         self.distant = distant_texels(renderer, view, self.shown)

@@ -132,7 +132,7 @@ def straight_light(bench: Bench) -> np.ndarray:
     spec = renderer.caches.spec(view.shading)
     gbuffer = renderer.gbuffer(view)
     turned = RotatedLight(spec, view)
-    lit = renderer.lobes(turned, gbuffer).lit[:, :3]
+    lit = renderer.surface.lobes(turned, gbuffer).lit[:, :3]
     if turned.coloured:
         lit = lit * turned.tints(gbuffer, bench.tiles)
     return spec.unit * luminance_of(lit)

@@ -145,7 +145,7 @@ class Isogi:
         """The texels that some of the views read: offsets, chunk by chunk."""
         found: defaultdict[Index, list[np.ndarray]] = defaultdict(list)
         for view in tqdm(views, desc="isogi looks", unit="view", disable=len(views) < 2):
-            texels = self.renderer.texels(view, self.renderer.gbuffer(view))
+            texels = self.renderer.surface.texels(view, self.renderer.gbuffer(view))
             for index, offsets in zip(texels.chunks, texels.offsets, strict=True):
                 found[index].append(offsets)
         return {index: np.unique(np.concatenate(parts)) for index, parts in found.items()}

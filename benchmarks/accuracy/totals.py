@@ -382,7 +382,7 @@ def go_by_paths(renderer: Renderer, view: View) -> None:
     """Have paths alone light the picture of a ``view``, as if its texels cost more."""
     goal = Goal.checked(renderer.prepared.scene.target_error)
     gbuffer = renderer.gbuffer(view)
-    check = renderer.checks.of(renderer.shot(view, gbuffer, goal, renderer.tiles))
+    check = renderer.surface.checks.of(renderer.surface.shot(view, gbuffer, goal, renderer.tiles))
     scouted = check.scout(gbuffer, renderer.tiles)
     effort = scouted.effort(PATHS_RATE)
     choice = all_points(len(gbuffer.pixels), FORESEEN, goal.error, scouted.mean, effort)

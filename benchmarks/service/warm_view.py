@@ -56,7 +56,7 @@ def warm_view(target: str | None, size: int, samples: int, repeats: int) -> Meas
         view = view_of(scene, size)
         bake_view(renderer, view, samples)
         spec = renderer.caches.spec("gi")
-        chunks = renderer.texels(view, renderer.gbuffer(view)).chunks
+        chunks = renderer.surface.texels(view, renderer.gbuffer(view)).chunks
         measure = Timer(spec, chunks, repeats)
         figures: dict[str, Any] = {"chunks": len(chunks), **measure("folder", StoreUrl(folder))}
         figures |= measure("disk", StoreUrl(folder), forget=True)

@@ -120,7 +120,7 @@ def baked(engine: RenderEngine, scene: str, view: View, goal: Goal, begun: float
             break
     after = engine.baker.tally()
     renderer = engine.renderer(scene)
-    texels = len(renderer.texels(view, renderer.gbuffer(view)).places)
+    texels = len(renderer.surface.texels(view, renderer.gbuffer(view)).places)
     return Bake(
         shown or passed,
         passed,

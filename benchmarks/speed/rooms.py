@@ -119,7 +119,7 @@ def lit(scene: Scene, store: str, size: int) -> Renderer:
     view = camera_of(scene, size)
     bake_view(renderer, view, MIN_SAMPLES)
     frame = renderer.render(view, LOOSEST_GOAL)
-    while frame.quality.waiting and renderer.refine_frame(
+    while frame.quality.waiting and renderer.surface.refine_frame(
         frame, LOOSEST_GOAL, renderer.tiles, PRESENT
     ):
         frame = renderer.render(view, LOOSEST_GOAL)

@@ -2,29 +2,29 @@
 
 The steps are: cast rays at the surface, fill the G-buffer, find texels, read their light, and shade
 the framebuffer. Each step makes data from the data before it, and one cache keeps these for the
-next frames. Its keys name the step and the surface that a view shows, by isovalue, camera and size
-(``surface_key``):
+next frames (``SurfaceRenderer.kept``; each other side of several surfaces has one). Its keys name
+the step and the surface that a view shows, by isovalue, camera and size (``surface_key``):
 
 | step | kept for |
 |---|---|
-| ``GBuffer``, ``ViewTexels``, ``Distances`` | a surface |
+| ``GBuffer`` or ``Peels``, ``ViewTexels``, ``Distances`` | a surface |
 | ``TexelNormals``, ``ShadowStarts``, ``EyeGlow`` | a surface |
 | ``Reading`` | a surface, a bake spec, a goal, and the age of the page pool |
 | ``FilteredLight`` | the texels and the reading of a view; rotation of the light, albedo, glow |
 | ``LobeLight`` | a surface, the rotation of the light, and whether it moves |
 | ``PictureCheck`` | a surface, the light's rotation, albedo, shine, glow and a target error |
+| ``TracedLight`` | an isovalue, a window, the light's rotation, albedo and glow |
 | ``RoomLight`` | an isovalue, an albedo and a glow |
 | ``SurfaceSeen`` | as ``PictureCheck`` |
 | ``ShineLight`` | a surface, shine, albedo, the light's rotation, glow, and whether it moves |
+| ``DrawnPicture`` | a view, a goal, the state of its check, and the ages of the page pools |
 
-``Reading``, ``FilteredLight``, ``LobeLight`` and ``ShineLight`` have a KIND_SHARE of the bytes
-each, so that a light that turns, or a bake that goes on, drives out no surface. Normals of texels
-are the same in all views: ``LatticeNormals`` keeps them.
+``Reading``, ``FilteredLight``, ``LobeLight``, ``ShineLight`` and ``DrawnPicture`` have a KIND_SHARE
+of the bytes each, so that a light that turns, or a bake that goes on, drives out no surface.
+Normals of texels are the same in all views: ``LatticeNormals`` keeps them.
 """
 
 import threading
-from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -32,21 +32,17 @@ import numpy as np
 from isogi_core.bake.bake_spec import SPECS
 from isogi_core.bake.noise import Goal
 from isogi_core.cache.scene_caches import Caches
-from isogi_core.frame.edges import smooth_edges
-from isogi_core.frame.eye_glow import with_glow
 from isogi_core.frame.features import features_of
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.framing import frame_of
-from isogi_core.frame.gbuffer import GBuffer, surface_key, to_index, trace
+from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.known_blocks import KnownBlocks
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.picture_plan import PRESENT, Prices
 from isogi_core.frame.rays.picture_state import PictureState
-from isogi_core.frame.several.composer import Composer
-from isogi_core.frame.several.peels import Peels
+from isogi_core.frame.several.peeling_renderer import PeelingRenderer
 from isogi_core.frame.shot import Shot
 from isogi_core.frame.surface_renderer import BLOCKS_SHARE, VIEW_BYTES, SurfaceRenderer
-from isogi_core.frame.texel_normals import LatticeNormals
 from isogi_core.frame.texel_reading import Reading, read_texels
 from isogi_core.frame.texel_shading import StandIn
 from isogi_core.frame.tiles import Stopwatch, Tiles
@@ -54,12 +50,15 @@ from isogi_core.frame.view_checks import is_checked
 from isogi_core.frame.view_texels import ViewTexels
 from isogi_core.kernels.shading.framebuffer import PROVISIONAL, Framebuffer
 from isogi_core.lru_cache import LruCache
-from isogi_core.model.material import DULL
 from isogi_core.model.view import View
 
 
-class Renderer(SurfaceRenderer):
-    """Renders views of one scene, of one surface or of several. Safe to use from many threads."""
+class Renderer:
+    """Renders views of one scene, of one surface or of several. Safe to use from many threads.
+
+    ``surface`` draws the surface and the walls; of several surfaces it draws the outer side of the
+    one that slides.
+    """
 
     def __init__(
         self,
@@ -70,25 +69,21 @@ class Renderer(SurfaceRenderer):
         stand_in: StandIn | None = None,
     ) -> None:
         """Render with the light of ``caches``: see ``SurfaceRenderer``."""
-        super().__init__(caches, tiles, most, filters, stand_in)
+        self.prepared = caches.prepared
+        self.caches = caches
+        self.tiles = tiles
+        self.surface = SurfaceRenderer(caches, tiles, most, filters, stand_in)
+        # A picture of one surface is one shot; of several, a shot of each side, and their sum.
+        self._painter: SurfaceRenderer | PeelingRenderer = self.surface
+        if self.prepared.scene.surfaces.several:
+            self._painter = PeelingRenderer(self.surface)
         self.blocks = KnownBlocks(int(BLOCKS_SHARE * most))
         self.looks: LruCache[Any] = LruCache(most // 64)
-        # If the scene has several surfaces, this renderer lights the outer side of the one that
-        # slides, and makes a renderer for each other side.
-        side = partial(SurfaceRenderer, tiles=tiles, most=most // 8, filters=filters)
-        self._composer = (
-            Composer(self, side, self._kept) if self.prepared.scene.surfaces.several else None
-        )
 
     @property
     def nbytes(self) -> int:
         """The bytes of memory that kept views, maps, light and blocks take."""
-        return (
-            super().nbytes
-            + self.blocks.nbytes
-            + self.looks.nbytes
-            + (self._composer.nbytes if self._composer else 0)
-        )
+        return self._painter.nbytes + self.blocks.nbytes + self.looks.nbytes
 
     def render(
         self,
@@ -111,32 +106,13 @@ class Renderer(SurfaceRenderer):
             tiles = self.tiles
         goal = goal or Goal.checked(self.prepared.scene.target_error)
         watch = watch or Stopwatch()
-        frame = self._draw(view, goal, tiles, watch)
+        self._refuse(view)
+        frame = self._painter.picture(view, goal, tiles, watch)
         if view.moving or not view.smooth:
             return frame
         # Add samples to pixels at edges.
         with watch.stage("edges"):
-            if self._composer:
-                return self._composer.smooth(frame, tiles)
-            return smooth_edges(frame, self.prepared, tiles)
-
-    def _draw(self, view: View, goal: Goal, tiles: Tiles, watch: Stopwatch) -> Frame:
-        """Render a ``view``, and add the glow in front of its surfaces."""
-        lit = self._draw_lit(view, goal, tiles, watch)
-        return with_glow(lit, self._kept, surface_key(view), self.prepared, tiles, watch)
-
-    def _draw_lit(self, view: View, goal: Goal, tiles: Tiles, watch: Stopwatch) -> Frame:
-        """Render the surfaces and walls of a ``view``."""
-        # Refuse views that the scene cannot answer: another albedo, or a camera inside a wall.
-        self.prepared.scene.surfaces.albedo_for(view.albedo)
-        self.prepared.scene.lighting.room.refuse_camera(
-            view.camera, self.prepared.scene.volume.radius
-        )
-        if self._composer is not None:
-            return self._composer.draw(view, goal, tiles, watch)
-        with watch.stage("primary"):
-            gbuffer = self.gbuffer(view, tiles)
-        return self.draw(self.shot(view, gbuffer, goal, tiles, watch))
+            return self._painter.smooth(frame, tiles)
 
     def refine(
         self,
@@ -152,68 +128,30 @@ class Renderer(SurfaceRenderer):
         Cancelled once ``tiles`` are cancelled, and the errors of ``render``.
         """
         goal = goal or Goal.checked(self.prepared.scene.target_error)
-        tiles = tiles or self.tiles
-        if self._composer is not None:
-            return self._composer.refine(view, goal, tiles, prices)
-        frame = self._draw(view, goal, tiles, Stopwatch())
-        return self.refine_frame(frame, goal, tiles, prices)
+        self._refuse(view)
+        return self._painter.refine(view, goal, tiles or self.tiles, prices)
 
-    def light_points(self, view: View, points: np.ndarray) -> tuple[Frame, np.ndarray]:
-        """Render surface ``points`` (m, 3) in index space that no ray has found; return a frame and
-        their normals (m, 3).
-
-        The frame has one row, whose pixel i shows point i. Isovalue, albedo and rotation of the
-        light are those of ``view``.
+    def _refuse(self, view: View) -> None:
+        """Refuse views that the scene cannot answer: another albedo, or a camera inside a wall.
+        Raises ViewError.
         """
-        self.forget_views()  # another row of points would have the same key
-        row = replace(view, width=len(points), height=1, shading="gi", moving=False)
-        # Leave shine out: it is light towards an eye, and nobody looks at these points.
-        row = replace(row, shine=DULL)
-        surface = self.prepared.surface(view.isovalue)  # points in a row are far apart
-        gbuffer = GBuffer.of_points(
-            surface, to_index(np.array(view.camera.eye), surface.field.spacing), points
-        )
-        goal = Goal(self.prepared.scene.target_error)
-        frame = self._draw_texels(self.shot(row, gbuffer, goal, self.tiles))
-        return frame, gbuffer.normals(self.tiles)
+        scene = self.prepared.scene
+        scene.surfaces.albedo_for(view.albedo)
+        scene.lighting.room.refuse_camera(view.camera, scene.volume.radius)
 
     def gbuffer(self, view: View, tiles: Tiles | None = None) -> GBuffer:
-        """Return the G-buffer of a ``view``, kept or traced now. Raises Cancelled once
-        ``tiles`` are cancelled.
+        """Return the G-buffer of all that is in front in a ``view``, kept or traced now. Raises
+        Cancelled once ``tiles`` are cancelled.
         """
-        surface = self.prepared.surface(view.isovalue)
-        tiles = tiles or self.tiles
-        if self._composer:
-            return self._composer.peels(view, tiles).first
-        make = partial(trace, view, surface, tiles, self.prepared.walls_in_view)
-        return self._kept.get((GBuffer, surface_key(view)), make)
-
-    @property
-    def known_normals(self) -> LatticeNormals:
-        """The normals of texels at their own positions, as far as views or chunks have asked
-        for them.
-        """
-        return self._texels.normals
-
-    def knows(self, view: View) -> bool:
-        """Return True if the texels of a ``view`` are kept."""
-        return self._kept.held((ViewTexels, surface_key(view), False)) is not None
+        return self._painter.gbuffer(view, tiles or self.tiles)
 
     def sees(self, view: View) -> bool:
         """Return True if the surface points of a ``view`` are kept."""
-        kind = Peels if self._composer else GBuffer
-        return self._kept.held((kind, surface_key(view))) is not None
-
-    def lobe_radiance(self, frame: Frame) -> np.ndarray:
-        """Return the radiance at the surface points of a ``frame`` that lobes cause directly;
-        (m, 3) float32.
-        """
-        light = self._light(frame.view)
-        return np.asarray(np.float32(light.spec.unit) * self.lobes(light, frame.gbuffer).lit[:, :3])
+        return self._painter.sees(view)
 
     def forget_views(self) -> None:
         """Drop all that is kept of views, as if every view were new."""
-        self._kept.clear()
+        self.surface.kept.clear()
 
 
 def unlit_frame(
@@ -227,9 +165,10 @@ def unlit_frame(
     cache. Raises Cancelled once ``cancelled`` is set, and the errors of ``Renderer.render``.
     """
     scene = renderer.prepared.scene
+    surface = renderer.surface
     # Skip the picture only if all light is missing, and is asked for in one stage.
     staged = any(feature.in_stages for feature in features_of(scene))
-    if staged or view.moving or view.shading not in SPECS or renderer.knows(view):
+    if staged or view.moving or view.shading not in SPECS or surface.knows(view):
         return None
     scene.lighting.room.refuse_camera(view.camera, scene.volume.radius)
     tiles = renderer.tiles.cancelled_by(cancelled)
@@ -238,7 +177,7 @@ def unlit_frame(
     gbuffer = renderer.gbuffer(view, tiles)
     if scene.projection.projects(gbuffer.isovalue):
         return None
-    texels = renderer.texels(view, gbuffer, tiles)
+    texels = surface.texels(view, gbuffer, tiles)
     loader.ensure(texels.chunks, tiles.check)
     with loader.pool.hold(texels.chunks) as held:
         if not len(held.slots) or (held.slots >= 0).any():
@@ -247,7 +186,7 @@ def unlit_frame(
     # Its check decides if the light that it lacks is that of texels.
     known = None
     if is_checked(view):
-        known = renderer.checks.of(renderer.shot(view, gbuffer, goal, tiles)).known
+        known = surface.checks.of(surface.shot(view, gbuffer, goal, tiles)).known
     return undrawn_frame(renderer, view, texels, reading, known)
 
 

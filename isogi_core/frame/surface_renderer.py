@@ -1,4 +1,4 @@
-"""Light the surface and the walls of a picture, by local models, by paths or by texels, and
+"""Draw the surface and the walls of a picture, lit by local models, by paths or by texels, and
 refine them.
 """
 
@@ -7,13 +7,17 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 from isogi_core.bake.bake_spec import spec_name
 from isogi_core.bake.noise import Goal
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.cache.wall_store import WallStore
+from isogi_core.frame.edges import smooth_edges
+from isogi_core.frame.eye_glow import with_glow
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.framing import frame_of
-from isogi_core.frame.gbuffer import GBuffer, surface_key
+from isogi_core.frame.gbuffer import GBuffer, surface_key, to_index, trace
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.lobe_light import LobeLight, ShadowStarts, find_lobes, find_starts
 from isogi_core.frame.rays.picture_check import PictureCheck
@@ -33,6 +37,7 @@ from isogi_core.frame.view_checks import ViewChecks, goal_of_texels, is_checked
 from isogi_core.frame.view_texels import ViewTexels
 from isogi_core.kernels.shading.lobes import add_lobes
 from isogi_core.lru_cache import LruCache
+from isogi_core.model.material import DULL
 from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.model.view import View
 
@@ -53,6 +58,9 @@ PIXEL_BYTES = 3 * 4 + 1 + 4
 BLOCKS_SHARE = 1 / 8
 """Share of these bytes for blocks of chunks, which all cards that draw the scene have in common."""
 
+SIDE_SHARE = 1 / 8
+"""Bytes that are kept of views of each other side of several surfaces, as a share of these."""
+
 
 @dataclass(frozen=True, eq=False)
 class DrawnPicture:
@@ -70,7 +78,12 @@ class DrawnPicture:
 
 
 class SurfaceRenderer:
-    """Lights and refines pictures of the surface of one scene. Safe to use from many threads."""
+    """Draws and refines pictures of the surface of one scene, and of its walls. Safe to use from
+    many threads.
+
+    ``picture`` draws a view of them alone. Who shows more surfaces makes shots of their sides, and
+    has each drawn by a renderer of its own. Results of steps are ``kept``: see ``Renderer``.
+    """
 
     def __init__(
         self,
@@ -92,6 +105,8 @@ class SurfaceRenderer:
         self.prepared = caches.prepared
         self.caches = caches
         self.tiles = tiles
+        self._most = most
+        self._filters = filters
         # Results that a turning light or a growing bake replaces have a limit of their own: they
         # must not drive out surfaces. Light that grows step by step must not be lost between two of
         # them, however little memory there is.
@@ -101,17 +116,17 @@ class SurfaceRenderer:
         )
         growing = PictureCheck, RoomLight, ShineLight, SurfaceSeen
         most_of_views = most - int((COMMON + BLOCKS_SHARE) * most)
-        self._kept: LruCache[Any] = LruCache(most_of_views, changing, lasting=growing)
+        self.kept: LruCache[Any] = LruCache(most_of_views, changing, lasting=growing)
         shown = levels or (Level(caches),)
-        self._texels = TexelShading(
-            self.prepared, shown, self._kept, int(COMMON * most), filters, stand_in
+        self.texel_shading = TexelShading(
+            self.prepared, shown, self.kept, int(COMMON * most), filters, stand_in
         )
-        self.checks = ViewChecks(self._kept, self._texels)
+        self.checks = ViewChecks(self.kept, self.texel_shading)
         self._walls = ViewWalls(
-            self._kept, self.prepared.scene.volume, WallStore(caches.store, self.prepared)
+            self.kept, self.prepared.scene.volume, WallStore(caches.store, self.prepared)
         )
-        self._through = ViewThrough(self._kept, self._walls)
-        self._shine = ViewShine(self._kept, self._texels, self._walls, self.checks)
+        self._through = ViewThrough(self.kept, self._walls)
+        self._shine = ViewShine(self.kept, self.texel_shading, self._walls, self.checks)
         # Glass shows walls through its surface: its refinement brings these along.
         walls = self._through if self.prepared.scene.surfaces.material.refracts else self._walls
         self._refinements: tuple[Refinement[Any], ...] = (walls, self._shine, self.checks)
@@ -120,8 +135,52 @@ class SurfaceRenderer:
     def nbytes(self) -> int:
         """The bytes of memory that kept views, maps and light take."""
         return sum(
-            part.nbytes for part in (self._kept, self._texels, self.prepared.maps, self.caches)
+            part.nbytes for part in (self.kept, self.texel_shading, self.prepared.maps, self.caches)
         )
+
+    def beside(self, caches: Caches, levels: tuple[Level, ...]) -> "SurfaceRenderer":
+        """Return a renderer of another side of several surfaces, on the same threads: by the light
+        of ``caches``, or by that of ``levels``. It keeps a SIDE_SHARE of what this one keeps of
+        views.
+        """
+        most = int(SIDE_SHARE * self._most)
+        return SurfaceRenderer(caches, self.tiles, most, self._filters, levels=levels)
+
+    def picture(self, view: View, goal: Goal, tiles: Tiles, watch: Stopwatch) -> Frame:
+        """Draw the picture of a ``view`` that shows no other surface: one shot, and the glow in
+        front of it. Raises Cancelled, and ViewError if the view asks for glow and nothing glows.
+        """
+        with watch.stage("primary"):
+            gbuffer = self.gbuffer(view, tiles)
+        frame = self.draw(self.shot(view, gbuffer, goal, tiles, watch))
+        return self.add_glow(frame, tiles, watch)
+
+    def refine(self, view: View, goal: Goal, tiles: Tiles, prices: Prices) -> bool:
+        """Take one step of the picture of a ``view``: see ``refine_frame``, and ``picture`` for the
+        errors raised.
+        """
+        frame = self.picture(view, goal, tiles, Stopwatch())
+        return self.refine_frame(frame, goal, tiles, prices)
+
+    def smooth(self, frame: Frame, tiles: Tiles) -> Frame:
+        """Return the ``frame`` of a picture with more samples at its edges. Raises Cancelled."""
+        return smooth_edges(frame, self.prepared, tiles)
+
+    def add_glow(self, frame: Frame, tiles: Tiles, watch: Stopwatch) -> Frame:
+        """Return a ``frame`` with the glow in front of all that it shows: see ``with_glow``."""
+        return with_glow(frame, self.kept, surface_key(frame.view), self.prepared, tiles, watch)
+
+    def gbuffer(self, view: View, tiles: Tiles) -> GBuffer:
+        """Return the G-buffer of the surface and the walls in a ``view``, kept or traced now.
+        Raises Cancelled.
+        """
+        surface = self.prepared.surface(view.isovalue)
+        make = partial(trace, view, surface, tiles, self.prepared.walls_in_view)
+        return self.kept.get((GBuffer, surface_key(view)), make)
+
+    def sees(self, view: View) -> bool:
+        """Return True if the G-buffer of a ``view`` is kept."""
+        return self.kept.held((GBuffer, surface_key(view))) is not None
 
     def shot(
         self, view: View, gbuffer: GBuffer, goal: Goal, tiles: Tiles, watch: Stopwatch | None = None
@@ -129,9 +188,9 @@ class SurfaceRenderer:
         """Return the shot of a ``view`` of the surface points in a ``gbuffer``, under the lights of
         the scene.
         """
-        return Shot(gbuffer, self._light(view), goal, tiles, watch or Stopwatch())
+        return Shot(gbuffer, self.light(view), goal, tiles, watch or Stopwatch())
 
-    def _light(self, view: View) -> RotatedLight:
+    def light(self, view: View) -> RotatedLight:
         """Return the lights of a ``view``, rotated; a view that moves goes without some of the
         lobes.
         """
@@ -201,7 +260,7 @@ class SurfaceRenderer:
         # Requests that wait for light, and the check, ask for the same picture again and again.
         # Each step of the check replaces ``known``, and may bring light of pixels.
         key = (DrawnPicture, shot.view, shot.goal, known, light)
-        return self._kept.get(key, lambda: DrawnPicture(make())).frame
+        return self.kept.get(key, lambda: DrawnPicture(make())).frame
 
     def _show_paths(self, known: PictureState, shot: Shot) -> Frame:
         """Draw a ``shot`` whose pixels all have light from paths of their own, as its check has
@@ -220,7 +279,7 @@ class SurfaceRenderer:
         """
         if shot.view.moving or not shot.plain:
             return None
-        return self._texels.ages(texels, shot)
+        return self.texel_shading.ages(texels, shot)
 
     def _carry_texels(self, texels: ViewTexels, known: PictureState | None, shot: Shot) -> Frame:
         """Draw a ``shot`` by the light of its ``texels``, with the light of pixels that its check
@@ -232,7 +291,7 @@ class SurfaceRenderer:
         # Read the light of the texels, and carry it to the pixels.
         shine = b""
         goal = goal_of_texels(shot.goal, shot.view, known)
-        reading, framebuffer = self._texels.picture(texels, replace(shot, goal=goal))
+        reading, framebuffer = self.texel_shading.picture(texels, replace(shot, goal=goal))
         # Lobes are lit by shadow rays from the pixels, as they are sharper than texels.
         if light.spec.lobes:
             with shot.watch.stage("lobes"):
@@ -256,7 +315,11 @@ class SurfaceRenderer:
         """Return the texels of a ``view``, from those kept or found now. They hold its
         G-buffer, so that a cache keeps both or neither.
         """
-        return self._texels.under(view, gbuffer, tiles or self.tiles)
+        return self.texel_shading.under(view, gbuffer, tiles or self.tiles)
+
+    def knows(self, view: View) -> bool:
+        """Return True if the texels of a ``view`` are kept."""
+        return self.kept.held((ViewTexels, surface_key(view), False)) is not None
 
     def lobes(self, light: RotatedLight, gbuffer: GBuffer, tiles: Tiles | None = None) -> LobeLight:
         """Return the light that comes straight from lobes to a view. It is kept while camera
@@ -267,12 +330,38 @@ class SurfaceRenderer:
 
         # Starts of shadow rays do not depend on the light, and are kept for the surface.
         def make() -> LobeLight:
-            starts = self._kept.get(
+            starts = self.kept.get(
                 (ShadowStarts, surface_key(view)), partial(find_starts, gbuffer, tiles)
             )
             return find_lobes(light, starts, gbuffer.surface.traced(tiles.run), tiles)
 
         # Light is kept for the albedo of the spec, and tinted for that of the view.
-        return self._kept.get((LobeLight, surface_key(view), view.light, view.moving), make).tinted(
+        return self.kept.get((LobeLight, surface_key(view), view.light, view.moving), make).tinted(
             light.tint
         )
+
+    def lobe_radiance(self, frame: Frame) -> np.ndarray:
+        """Return the radiance at the surface points of a ``frame`` that lobes cause directly;
+        (m, 3) float32.
+        """
+        light = self.light(frame.view)
+        return np.asarray(np.float32(light.spec.unit) * self.lobes(light, frame.gbuffer).lit[:, :3])
+
+    def light_points(self, view: View, points: np.ndarray) -> tuple[Frame, np.ndarray]:
+        """Render surface ``points`` (m, 3) in index space that no ray has found; return a frame and
+        their normals (m, 3).
+
+        The frame has one row, whose pixel i shows point i. Isovalue, albedo and rotation of the
+        light are those of ``view``. All that is kept of views is dropped.
+        """
+        self.kept.clear()  # another row of points would have the same key
+        row = replace(view, width=len(points), height=1, shading="gi", moving=False)
+        # Leave shine out: it is light towards an eye, and nobody looks at these points.
+        row = replace(row, shine=DULL)
+        surface = self.prepared.surface(view.isovalue)  # points in a row are far apart
+        gbuffer = GBuffer.of_points(
+            surface, to_index(np.array(view.camera.eye), surface.field.spacing), points
+        )
+        goal = Goal(self.prepared.scene.target_error)
+        frame = self._draw_texels(self.shot(row, gbuffer, goal, self.tiles))
+        return frame, gbuffer.normals(self.tiles)

@@ -144,7 +144,7 @@ def true_error(bench: Workbench, frame: Frame) -> float:
 
 def reading_of(bench: Workbench, view: View, tiles: Tiles) -> Reading:
     """What the cache has of a view."""
-    texels = bench.renderer.texels(view, bench.renderer.gbuffer(view))
+    texels = bench.renderer.surface.texels(view, bench.renderer.gbuffer(view))
     loader = bench.caches.of(view.shading)
     loader.ensure(texels.chunks)
     with loader.pool.hold(texels.chunks) as held:

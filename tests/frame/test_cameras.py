@@ -10,7 +10,6 @@ import pytest
 from isogi_core.files.vector import Vector
 from isogi_core.frame.fitting import FILLED, Stand, fitted, fitted_to_all
 from isogi_core.frame.gbuffer import GBuffer
-from isogi_core.frame.renderer import Renderer
 from isogi_core.model.choices import PROJECTIONS
 from isogi_core.model.view import Camera, View, orbit, orthographic
 from isogi_core.model.volume import Orientation, make_volume
@@ -134,17 +133,9 @@ def test_no_picture_is_fitted_by_rays(
 ) -> None:
     """The points of the surface alone decide, however long the picture is."""
     renderer = workbench(scene_of(ball(), 0.0)).renderer
-    cast = list[int]()
-
-    def gbuffer(view: View) -> GBuffer:
-        cast.append(view.width * view.height)
-        return Renderer.gbuffer(renderer, view)
-
-    monkeypatch.setattr(renderer, "gbuffer", gbuffer)
+    monkeypatch.setattr(renderer.surface, "gbuffer", lambda *_: pytest.fail("rays are cast"))
     view = replace(workbench(scene_of(ball(), 0.0)).view(), width=size[0], height=size[1])
-    found = fitted(renderer, view, 30.0, 20.0)
-    assert found is not None
-    assert cast == []
+    assert fitted(renderer, view, 30.0, 20.0) is not None
 
 
 def test_what_glows_beside_the_surface_is_seen_whole(tmp_path: Path) -> None:

@@ -14,7 +14,6 @@ import pytest
 from isogi_core.bake import refine as refine_module
 from isogi_core.errors import ViewError
 from isogi_core.files.vector import Vector
-from isogi_core.frame import renderer as renderer_module
 from isogi_core.frame import surface_renderer, texel_shading
 from isogi_core.frame.frame import Frame
 from isogi_core.kernels.shading.framebuffer import FINAL, PROVISIONAL
@@ -148,7 +147,7 @@ def test_exported_points_have_the_colours(workbench: Callable[..., Workbench]) -
     bench = workbench(painted(CONSTANT))
     view = bench.view(size=16)
     frame = bench.bake(view)
-    lit, _ = bench.renderer.light_points(view, frame.gbuffer.points)
+    lit, _ = bench.renderer.surface.light_points(view, frame.gbuffer.points)
     np.testing.assert_allclose(
         lit.radiance[0], frame.radiance.reshape(-1, 3)[frame.gbuffer.pixels], rtol=1e-4
     )
@@ -287,7 +286,7 @@ def test_another_albedo_casts_no_ray_and_leaves_the_store(
 
     for module, name in (
         *((refine_module, name) for name in ("bake_texels", "bake_irradiance", "locate_texels")),
-        *((renderer_module, "trace"), (surface_renderer, "find_lobes")),
+        *((surface_renderer, name) for name in ("trace", "find_lobes")),
         (texel_shading, "find_texels"),
     ):
         monkeypatch.setattr(module, name, refuse)

@@ -150,7 +150,7 @@ def test_normals_of_projected_texels_are_found_once(
     view = orbital.view(size=24)
     asked = []
     gbuffer = orbital.renderer.gbuffer(view)
-    texels = orbital.renderer.texels(view, gbuffer)
+    texels = orbital.renderer.surface.texels(view, gbuffer)
     found = find_texel_normals(texels, LatticeNormals(1 << 20), orbital.prepared, Tiles(2))
     monkeypatch.setattr(
         texel_normals,

@@ -226,7 +226,7 @@ def test_buried_texels_under_a_lit_surface_do_not_darken_it(
     view = bench.view(elevation=90.0, distance=1.5, size=24, shading=shading)
     frame = bench.bake(view)
     gbuffer = bench.renderer.gbuffer(view)
-    texels = bench.renderer.texels(view, gbuffer)
+    texels = bench.renderer.surface.texels(view, gbuffer)
     pool = bench.caches.of(shading).pool
     with pool.hold(texels.chunks) as held:
         grade = read_texels(

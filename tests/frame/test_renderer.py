@@ -16,8 +16,7 @@ import pytest
 from isogi_core.bake.noise import Goal
 from isogi_core.errors import Cancelled
 from isogi_core.frame import gbuffer as gbuffer_module
-from isogi_core.frame import renderer as renderer_module
-from isogi_core.frame import texel_shading
+from isogi_core.frame import surface_renderer, texel_shading
 from isogi_core.frame.demand import first_texels
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer
@@ -379,7 +378,9 @@ def test_points_of_a_picture_have_its_light(orbital: Workbench) -> None:
     )  # by a renderer of its own, in which no pixel has paths of its own
     shown = frame.radiance.reshape(-1, 3)[frame.gbuffer.pixels]
     for moving in (False, True):
-        lit, normals = renderer.light_points(replace(view, moving=moving), frame.gbuffer.points)
+        lit, normals = renderer.surface.light_points(
+            replace(view, moving=moving), frame.gbuffer.points
+        )
         assert (lit.radiance[0] != shown).any(
             axis=1
         ).mean() < 0.01  # half-shadows are of random rays
@@ -408,7 +409,7 @@ def test_it_demands_what_the_first_picture_does(
     view = bench.view()
     frame = unlit(bench, view)
     assert frame is not None and not frame.checkable
-    for module, name in ((renderer_module, "trace"), (texel_shading, "find_texels")):
+    for module, name in ((surface_renderer, "trace"), (texel_shading, "find_texels")):
         monkeypatch.setattr(module, name, lambda *_: pytest.fail("it is done twice"))
     first = bench.renderer.render(view)
     assert (

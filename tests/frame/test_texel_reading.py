@@ -70,7 +70,7 @@ def test_light_short_of_final_is_demanded_chunk_by_chunk(
 ) -> None:
     bench = workbench(load_scene("demo:orbital", lights=[SKY], bounces=1, target_error=0.5))
     view = bench.view(size=24)
-    texels = bench.renderer.texels(view, bench.renderer.gbuffer(view))
+    texels = bench.renderer.surface.texels(view, bench.renderer.gbuffer(view))
     before = reading_of(bench, view, Tiles(1))
     assert before.short.all() and not before.whole and (before.grade == UNBAKED_GRADE).all()
     wanted = Lacking(texels, before, planes_of(view, 1.0)).demands
@@ -82,7 +82,7 @@ def test_light_short_of_final_is_demanded_chunk_by_chunk(
     assert Lacking(texels, after, planes_of(view, 0.0)).demands == ()
     other = replace(view, width=40)
     some = reading_of(bench, other, Tiles(1))
-    wider = bench.renderer.texels(other, bench.renderer.gbuffer(other))
+    wider = bench.renderer.surface.texels(other, bench.renderer.gbuffer(other))
     own = [some.grade[a:b] for a, b in zip(wider.bounds[:-1], wider.bounds[1:], strict=True)]
     assert some.short.tolist() == [bool((grade < FINAL).any()) for grade in own]
     assert [demand.index for demand in Lacking(wider, some, planes_of(other, 1.0)).demands] == [
@@ -122,7 +122,7 @@ def test_efforts_of_chunks_in_pieces_are_those_of_their_texels(
     """A chunk that lies in two pieces, or in more, has the sum of both."""
     bench = workbench(load_scene("demo:orbital", lights=[SKY], bounces=1, target_error=1e-3))
     view = bench.view(size=24)
-    texels = bench.renderer.texels(view, bench.renderer.gbuffer(view))
+    texels = bench.renderer.surface.texels(view, bench.renderer.gbuffer(view))
     loader = bench.caches.of(view.shading)
     for demand in bench.renderer.render(view).demands[::2]:
         refine_chunk(loader, 16, bench.scene.target_error, demand)
@@ -158,7 +158,7 @@ def test_unlit_texels_have_the_mean_of_their_cells_others(workbench: Make) -> No
     bench = orbital(workbench)
     random = np.random.default_rng(5)
     view = bench.view(size=24)
-    texels = bench.renderer.texels(view, bench.renderer.gbuffer(view))
+    texels = bench.renderer.surface.texels(view, bench.renderer.gbuffer(view))
     empty = reading_of(bench, view, Tiles(1))
     chosen = random.choice(
         [UNBAKED_GRADE, PARTIAL_GRADE, CONVERGING, FINAL, BURIED_GRADE, VOID_GRADE],
@@ -187,7 +187,7 @@ def test_unlit_texels_have_the_mean_of_their_cells_others(workbench: Make) -> No
 def test_light_that_is_all_there_is_left_alone(workbench: Make) -> None:
     bench = orbital(workbench)
     view = bench.view(size=24)
-    texels = bench.renderer.texels(view, bench.renderer.gbuffer(view))
+    texels = bench.renderer.surface.texels(view, bench.renderer.gbuffer(view))
     empty = reading_of(bench, view, Tiles(1))
     reading = replace(empty, grade=np.full_like(empty.grade, CONVERGING))
     lit = np.ones((len(empty.grade), LIGHT_NUMBERS))
@@ -230,10 +230,11 @@ def test_what_moves_reads_few_texels_where_pixels_are_large(workbench: Make) -> 
         view = bench.view(size=size)
         gbuffer = bench.renderer.gbuffer(view)
         rest, draft = (
-            bench.renderer.texels(replace(view, moving=moving), gbuffer) for moving in (False, True)
+            bench.renderer.surface.texels(replace(view, moving=moving), gbuffer)
+            for moving in (False, True)
         )
         assert not rest.coarse and draft.coarse == (size < 512)
-        assert bench.renderer.texels(view, gbuffer) is rest, "both are kept"
+        assert bench.renderer.surface.texels(view, gbuffer) is rest, "both are kept"
         assert draft.coarse == (len(rest.places) > len(gbuffer.pixels))
         assert len(draft.places) <= 2 * len(gbuffer.pixels)
         assert np.isin(draft.numbers(draft.places), rest.numbers(rest.places)).all(), (
@@ -260,9 +261,9 @@ def test_a_coarse_draft_tells_the_noise_of_its_pixels(workbench: Make) -> None:
     bench = orbital(workbench)
     random = np.random.default_rng(3)
     view = replace(bench.view(size=48), moving=True)
-    light = bench.renderer._light(view)
+    light = bench.renderer.surface.light(view)
     tiles = Tiles(1)
-    texels = bench.renderer.texels(view, bench.renderer.gbuffer(view))
+    texels = bench.renderer.surface.texels(view, bench.renderer.gbuffer(view))
     assert texels.coarse
     reading = replace(
         reading_of(bench, view, tiles), grade=np.full(len(texels.places), CONVERGING, np.uint8)
@@ -288,7 +289,7 @@ def test_lent_light_may_all_be_wrong(workbench: Make) -> None:
     bench = orbital(workbench)
     view = bench.view(size=24)
     tiles = Tiles(1)
-    texels = bench.renderer.texels(view, bench.renderer.gbuffer(view))
+    texels = bench.renderer.surface.texels(view, bench.renderer.gbuffer(view))
     turned = np.unique(texels.corners[::7, 3])
     normals = np.tile(np.array([[0.0, 0.0, 1.0]], np.float32), (len(texels.places), 1))
     normals[turned] *= -1.0
@@ -300,7 +301,7 @@ def test_lent_light_may_all_be_wrong(workbench: Make) -> None:
     lit[:, 3] = 0.01
     lit[turned] = 0.0
     for moving in (False, True):
-        light = bench.renderer._light(replace(view, moving=moving))
+        light = bench.renderer.surface.light(replace(view, moving=moving))
         found, filtered = filter_texel_light(texels, reading, lit, normals, light, tiles)
         assert (found.grade == CONVERGING).all()
         np.testing.assert_allclose(filtered[turned, :3], 0.5, rtol=1e-3)
@@ -331,11 +332,11 @@ def test_light_that_stays_is_filtered_if_noise_seems_small(workbench: Make) -> N
     view = bench.view(size=24)
     for demand in bench.renderer.render(view).demands:
         refine_chunk(bench.caches.of("gi"), 16, 1e-3, demand)
-    texels = bench.renderer.texels(view, bench.renderer.gbuffer(view))
-    shot = bench.renderer.shot(view, texels.gbuffer, Goal(1e-3), Tiles(1))
-    reading, smooth = bench.renderer._texels.lit(texels, shot)
+    texels = bench.renderer.surface.texels(view, bench.renderer.gbuffer(view))
+    shot = bench.renderer.surface.shot(view, texels.gbuffer, Goal(1e-3), Tiles(1))
+    reading, smooth = bench.renderer.surface.texel_shading.lit(texels, shot)
     alone = Renderer(bench.caches, Tiles(1), filters=False)
-    _, plain = alone._texels.lit(texels, shot)
+    _, plain = alone.surface.texel_shading.lit(texels, shot)
     quiet = reading.lit & (reading.error <= GRAIN)
     changed = (smooth[quiet] != plain[quiet]).any(axis=1)
     assert quiet.sum() > 20 and changed.mean() > 0.9
@@ -349,7 +350,7 @@ def test_texels_that_seem_quiet_lose_noise_if_it_is_rough(rough: bool, workbench
     bench = orbital(workbench)
     view = bench.view(size=24)
     tiles = Tiles(1)
-    texels = bench.renderer.texels(view, bench.renderer.gbuffer(view))
+    texels = bench.renderer.surface.texels(view, bench.renderer.gbuffer(view))
     count = len(texels.places)
     quiet = np.arange(count) % 8 == 0
     error = np.where(quiet, 0.0, 0.2).astype(np.float32)
@@ -365,7 +366,7 @@ def test_texels_that_seem_quiet_lose_noise_if_it_is_rough(rough: bool, workbench
     lit[:, :3] = 0.5 + noise[:, None]
     lit[:, 3] = 0.5 * error
     normals = np.tile(np.array([[0.0, 0.0, 1.0]], np.float32), (count, 1))
-    light = bench.renderer._light(view)
+    light = bench.renderer.surface.light(view)
     _, filtered = filter_texel_light(texels, reading, lit, normals, light, tiles)
     left = [np.sqrt(((filtered[some, 1] - 0.5) ** 2).mean()) for some in (quiet, ~quiet)]
     assert left[1] < 0.5 * 0.1

@@ -25,7 +25,9 @@ RNG = np.random.default_rng(4)
 def test_numbers_name_texels_of_the_whole_lattice(orbital: Workbench) -> None:
     lattice = orbital.prepared.lattice
     views = [orbital.view(size=16, isovalue=isovalue) for isovalue in (0.02, 0.05)]
-    found = [orbital.renderer.texels(view, orbital.renderer.gbuffer(view)) for view in views]
+    found = [
+        orbital.renderer.surface.texels(view, orbital.renderer.gbuffer(view)) for view in views
+    ]
     places: dict[int, tuple[int, ...]] = {}
     for texels in found:
         numbers = texels.numbers(texels.places)
@@ -48,7 +50,7 @@ def test_normals_of_other_views_are_not_found_again(
     monkeypatch.setattr(
         texel_normals, "fill_texel_normals", lambda *each: (asked.append(len(each[4])), fill(*each))
     )
-    texels = orbital.renderer.texels(view, orbital.renderer.gbuffer(view))
+    texels = orbital.renderer.surface.texels(view, orbital.renderer.gbuffer(view))
     known = LatticeNormals(1 << 20)
     first, again = (
         find_texel_normals(texels, known, orbital.prepared, tiles).at_positions for _ in range(2)
@@ -107,7 +109,7 @@ def test_footprints_predict_the_noise_of_pixels(tmp_path: Path) -> None:
     scene = load_scene("demo:orbital", lattice=0.4)
     renderer = make_renderer(scene, str(tmp_path))
     view = view_of(scene, 24)
-    texels = renderer.texels(view, renderer.gbuffer(view))
+    texels = renderer.surface.texels(view, renderer.gbuffer(view))
     seen = np.concatenate(texels.footprints)
     noise = RANDOM.normal(size=(len(seen), 2000))
     each = zip(texels.corners.T, shares(texels.gbuffer.points, texels.lattice), strict=True)

@@ -204,5 +204,5 @@ def raw_scale(spec: BakeSpec) -> float:
 def normals_of(renderer: Renderer, texels: ViewTexels, tiles: Tiles) -> np.ndarray:
     """Return the normals that texels are lit about, (m, 3) float32."""
     return normals_at_positions(
-        texels, texels.places, renderer.known_normals, renderer.prepared, tiles
+        texels, texels.places, renderer.surface.texel_shading.normals, renderer.prepared, tiles
     )

@@ -51,7 +51,7 @@ def draw_coded(renderer: Renderer, view: View, coding: Coding, goal: Goal) -> Fr
     scene = renderer.prepared.scene
     gbuffer = renderer.gbuffer(view)
     light = RotatedLight(renderer.caches.spec("gi"), view)
-    texels = renderer.texels(view, gbuffer)
+    texels = renderer.surface.texels(view, gbuffer)
     loader.ensure(texels.chunks, tiles.check)
     # Read the numbers that a page would get.
     with loader.pool.hold(texels.chunks) as held:
@@ -70,7 +70,9 @@ def draw_coded(renderer: Renderer, view: View, coding: Coding, goal: Goal) -> Fr
     else:
         picture = carry_texel_light(texels, reading, lit, points, light, tiles)
     if light.spec.lobes:
-        add_lobes(gbuffer.pixels, renderer.lobes(light, gbuffer).lit, light.spec.unit, picture)
+        add_lobes(
+            gbuffer.pixels, renderer.surface.lobes(light, gbuffer).lit, light.spec.unit, picture
+        )
     if light.coloured:
         picture.radiance[gbuffer.pixels] *= light.tints(gbuffer, tiles)
     return picture

@@ -62,7 +62,7 @@ def look_at(renderer: Renderer, view: View, goal: Goal, tiles: Tiles) -> Look:
     all that ask. Raises the errors of ``fold_chunks``.
     """
     # Light counts as final once it has the samples that a check of the picture asks for.
-    check = renderer.checks.held(view, goal)
+    check = renderer.surface.checks.held(view, goal)
     loader = renderer.caches.of("gi")
     if check:
         goal = check.known.goal
@@ -80,7 +80,7 @@ def look_at(renderer: Renderer, view: View, goal: Goal, tiles: Tiles) -> Look:
 
 def new_look(renderer: Renderer, view: View, goal: Goal, loader: Loader, tiles: Tiles) -> Look:
     """Find the chunks that a ``view`` reads, by its rays."""
-    texels = renderer.texels(view, renderer.gbuffer(view, tiles), tiles)
+    texels = renderer.surface.texels(view, renderer.gbuffer(view, tiles), tiles)
     loader.ensure(texels.chunks, tiles.check)
     with loader.pool.hold(texels.chunks) as held:
         reading = read_texels(texels, held.slots, loader.pool, goal, tiles)

@@ -275,7 +275,7 @@ def lit_volume(
     for rows, frame, _ in lit_pieces(renderer, view, voxels[:, ::-1].astype(np.float32), report):
         light[tuple(voxels[rows].T)] = exposure * frame.radiance[0]
         for array in lobes.values():
-            array[tuple(voxels[rows].T)] = exposure * renderer.lobe_radiance(frame)
+            array[tuple(voxels[rows].T)] = exposure * renderer.surface.lobe_radiance(frame)
     values = np.empty(volume.shape, np.float32)
     # Convert layer by layer: the float64 copy of one layer is small.
     for z, layer in enumerate(volume.voxels):
@@ -295,7 +295,7 @@ def lit_pieces(
     """Yield frames of one row, and normals, of ``points`` (m, 3), a batch of rows at a time."""
     for start in range(0, len(points), POINTS_PER_BATCH):
         rows = slice(start, min(start + POINTS_PER_BATCH, len(points)))
-        frame, normals = renderer.light_points(view, points[rows])
+        frame, normals = renderer.surface.light_points(view, points[rows])
         report(rows.stop, len(points))
         yield rows, frame, normals
 

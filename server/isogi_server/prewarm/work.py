@@ -171,7 +171,7 @@ class Pictures:
         frame = context.frame_of(view)
         # Paths of pixels that somebody looked at before would not last in the store.
         if frame.by_paths:
-            context.renderer.checks.require_texels(view, context.goal)
+            context.renderer.surface.checks.require_texels(view, context.goal)
             frame = context.frame_of(view)
         more = True
         # A prewarm is to fill the store: light of pixels would not last.

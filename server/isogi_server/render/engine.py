@@ -541,7 +541,7 @@ class RenderEngine:
         if baking is None:
             return None
         # Paths from pixels, and drawing the picture meanwhile.
-        checks = self._find(lacks.scene).level(lacks.fineness).renderer.checks
+        checks = self._find(lacks.scene).level(lacks.fineness).renderer.surface.checks
         left = checks.known_left(lacks.view, lacks.goal) or lacks.foreseen
         if lacks.read is not None:
             spent = self.baker.spent(lacks.read_from, lacks.read)

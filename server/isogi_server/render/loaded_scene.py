@@ -145,20 +145,20 @@ class LoadedScene:
         """Return the frame by finer texels; None if the view's picture does not ask for them,
         or if the memory cannot hold them.
         """
-        if not self.renderer.checks.asks_finer(view, goal):
+        if not self.renderer.surface.checks.asks_finer(view, goal):
             return None
         try:
             return self.finer.render(view, goal, cancelled, watch)
         except NoRoomError as error:
             log.info("a view is shown without finer texels: %s", error)
-            self.renderer.checks.decline_finer(view, goal)
+            self.renderer.surface.checks.decline_finer(view, goal)
             return None
 
     def check(self, view: View, goal: Goal, tiles: Tiles, prices: Prices) -> bool:
         """Take one step of the check of a view's picture; return False if there was none to
         take. Raises as Renderer does.
         """
-        if self.renderer.checks.asks_finer(view, goal):
+        if self.renderer.surface.checks.asks_finer(view, goal):
             # Finer texels were chosen as they are cheaper than paths of pixels.
             return self.finer.check(view, goal, tiles, prices.of_texels)
         return self.renderer.refine(

@@ -83,9 +83,9 @@ def drawn(
         renderer = Renderer(bench.caches, TILES, filters=False)
     gbuffer = renderer.gbuffer(view)
     light = RotatedLight(bench.caches.spec("gi"), view)
-    texels = renderer.texels(view, gbuffer)
+    texels = renderer.surface.texels(view, gbuffer)
     shot = Shot(gbuffer, light, Goal(target), TILES)
-    _, framebuffer = renderer._texels.picture(texels, shot)
+    _, framebuffer = renderer.surface.texel_shading.picture(texels, shot)
     return gbuffer.points, gbuffer.normals(TILES), framebuffer.radiance[gbuffer.pixels]
 
 
@@ -151,7 +151,7 @@ def test_records_are_the_kernels_inputs_in_halves(bench_of: BenchOf) -> None:
     view = bench.view(size=40, light=TURN)
     twin = twin_of(bench, view, False)
     light = RotatedLight(bench.caches.spec("gi"), view)
-    texels = bench.renderer.texels(view, bench.renderer.gbuffer(view))
+    texels = bench.renderer.surface.texels(view, bench.renderer.gbuffer(view))
     reading, records = kernels_inputs(bench, view, light)
     expected = records[
         :,
@@ -178,10 +178,10 @@ def kernels_inputs(bench: Workbench, view: View, light: RotatedLight) -> tuple[A
     """The reading and the records that the frame of a view is made of."""
     from isogi_core.frame.shading import fill_texel_records
 
-    texels = bench.renderer.texels(view, bench.renderer.gbuffer(view))
+    texels = bench.renderer.surface.texels(view, bench.renderer.gbuffer(view))
     shot = Shot(texels.gbuffer, light, Goal(LOOSE), TILES)
-    reading, lit = bench.renderer._texels.lit(texels, shot)
-    normals = bench.renderer._texels._texel_normals(texels, reading, shot)
+    reading, lit = bench.renderer.surface.texel_shading.lit(texels, shot)
+    normals = bench.renderer.surface.texel_shading._texel_normals(texels, reading, shot)
     return reading, fill_texel_records(reading.grade, lit, normals, light, TILES)
 
 
@@ -246,7 +246,7 @@ def test_most_visible_chunks_come_first(workbench: Make) -> None:
         load_scene("demo:orbital", bounces=2, target_error=LOOSE, **SCENES["colours"])
     )
     view = bench.view(size=48)
-    texels = bench.renderer.texels(view, bench.renderer.gbuffer(view))
+    texels = bench.renderer.surface.texels(view, bench.renderer.gbuffer(view))
     order = [each.at for each in seen_chunks(bench.renderer, view, LOOSE_GOAL, TILES)]
     counts = dict.fromkeys(texels.chunks, 0)
     for corner in texels.corners.ravel().tolist():
@@ -418,7 +418,7 @@ def test_pictures_of_fine_codes_are_isogis(bench_of: BenchOf, name: str) -> None
     framebuffer = draw_coded(bench.renderer, view, coding_of(bench, 1e-4), LOOSE_GOAL)
     expected = drawn(bench, view)[2]
     if bench.caches.spec("gi").lobes:
-        expected = expected + bench.renderer.lobe_radiance(bench.renderer.render(view))
+        expected = expected + bench.renderer.surface.lobe_radiance(bench.renderer.render(view))
     shown = framebuffer.radiance[bench.renderer.gbuffer(view).pixels]
     np.testing.assert_allclose(shown, expected, atol=2e-3 * expected.mean())
 
@@ -433,7 +433,7 @@ def test_coded_pictures_have_colours_by_data(workbench: Make) -> None:
     bench.bake(view)
     framebuffer = draw_coded(bench.renderer, view, coding_of(bench, 1e-4), LOOSE_GOAL)
     gbuffer = bench.renderer.gbuffer(view)
-    tints = bench.renderer._light(view).tints(gbuffer, bench.renderer.tiles)
+    tints = bench.renderer.surface.light(view).tints(gbuffer, bench.renderer.tiles)
     expected = tints * drawn(bench, view)[2]
     shown = framebuffer.radiance[gbuffer.pixels]
     assert np.ptp(tints, axis=0).max() > 0.3

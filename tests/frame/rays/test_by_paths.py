@@ -147,7 +147,7 @@ def test_dropped_light_is_traced_anew(bench: Workbench) -> None:
     view = bench.view(azimuth=41.0, size=SIZE)
     bench.renderer.refine(view, GOAL)
     frame = bench.renderer.render(view, GOAL)
-    check = bench.renderer.checks.held(view, GOAL)
+    check = bench.renderer.surface.checks.held(view, GOAL)
     assert check is not None and len(check.known.carried)
     while not check.known.covers:
         bench.renderer.refine(view, GOAL)

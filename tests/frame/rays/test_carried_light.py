@@ -164,7 +164,7 @@ def test_points_at_rims_are_not_taken_even_at_no_distance(bench: Workbench) -> N
     view = bench.view(azimuth=70.0, size=SIZE)
     first = finished(bench, view)
     assert first.quality.known is not None
-    shot = bench.renderer.shot(view, first.gbuffer, Goal(TARGET), bench.renderer.tiles)
+    shot = bench.renderer.surface.shot(view, first.gbuffer, Goal(TARGET), bench.renderer.tiles)
     known = first.quality.known
     points = TracedPoints.of(shot, known.own, known.carried)
     assert np.isinf(points.changes).any() and np.isfinite(points.changes).any()

@@ -143,8 +143,8 @@ def test_cancelled_rays_to_lobes_stop(workbench: Make) -> None:
     turned = RotatedLight(bench.caches.spec("gi"), view)
     cancelled.set()
     with pytest.raises(Cancelled):
-        bench.renderer.lobes(turned, gbuffer, bench.renderer.tiles.cancelled_by(cancelled))
-    assert bench.renderer.lobes(turned, gbuffer).lit.any()
+        bench.renderer.surface.lobes(turned, gbuffer, bench.renderer.tiles.cancelled_by(cancelled))
+    assert bench.renderer.surface.lobes(turned, gbuffer).lit.any()
 
 
 def test_the_suns_shadow_lacks_the_suns_light_alone(workbench: Make) -> None:
@@ -152,7 +152,7 @@ def test_the_suns_shadow_lacks_the_suns_light_alone(workbench: Make) -> None:
     view = bench.view(elevation=60.0, size=32)
     gbuffer = bench.renderer.gbuffer(view)
     spec = bench.caches.spec("gi")
-    lit = spec.unit * bench.renderer.lobes(RotatedLight(spec, view), gbuffer).lit
+    lit = spec.unit * bench.renderer.surface.lobes(RotatedLight(spec, view), gbuffer).lit
     normals = gbuffer.normals(bench.renderer.tiles)
     (sun,) = spec.lobes
     open_light = (

@@ -403,7 +403,7 @@ def test_pixels_of_a_picture_say_what_they_err_by(
 
     # Pictures of the same pixels by other paths, beside the truth.
     light = RotatedLight(bench.caches.spec("gi"), view)
-    check = bench.renderer.checks.held(view, Goal.checked(0.02))
+    check = bench.renderer.surface.checks.held(view, Goal.checked(0.02))
     assert check
     choice = Choice(own.places, 0.0, own.count, own.expected)
     squares = []

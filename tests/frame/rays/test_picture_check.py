@@ -394,7 +394,7 @@ def test_a_frame_that_others_have_overtaken_takes_no_step(coarse: Workbench) -> 
     while (frame := renderer.render(view)).refinable and len(seen) < 6:
         seen.append(frame.total.controls)
         for _ in range(2):
-            assert renderer.refine_frame(frame, Goal(TARGET), renderer.tiles, PRESENT)
+            assert renderer.surface.refine_frame(frame, Goal(TARGET), renderer.tiles, PRESENT)
     assert seen[:2] == [0, FIRST_CONTROLS], "the second step waits for a frame that shows the first"
     one, other = checked(bench, view), checked(coarse.again(), view)
     assert (one.version, one.total) == (other.version, other.total)

@@ -80,7 +80,7 @@ def test_frames_that_others_have_overtaken_cast_no_rays(polished: Workbench) -> 
     while (frame := renderer.render(view)).refinable:
         for _ in range(2):
             goal = Goal(renderer.prepared.scene.target_error)
-            renderer.refine_frame(frame, goal, renderer.tiles, PRESENT)
+            renderer.surface.refine_frame(frame, goal, renderer.tiles, PRESENT)
     assert (frame.version, frame.total) == (alone.version, alone.total)
 
 

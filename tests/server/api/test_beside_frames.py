@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from isogi.client import Isogi
-from isogi_core.frame import renderer
+from isogi_core.frame import surface_renderer
 from isogi_core.frame.gbuffer import GBuffer, trace
 from isogi_core.frame.panorama import paint_panorama
 from isogi_core.model.view import View
@@ -59,7 +59,7 @@ def test_a_point_of_a_picture_that_nobody_drew_casts_one_ray(
         cast.append(view.width * view.height)
         return trace(view, *given)
 
-    monkeypatch.setattr(renderer, "trace", traced)
+    monkeypatch.setattr(surface_renderer, "trace", traced)
     view: dict[str, Any] = {"width": 600, "height": 400, "azimuth": 83, "shading": "lambert"}
     alone = get(client, "point", x=317.2, y=203.9, **view).json()
     assert cast == [1] and alone["hit"]

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from websockets.asyncio.client import connect
 
-from isogi_core.frame import renderer
+from isogi_core.frame import surface_renderer
 from isogi_core.frame.card.colour_codes import ColourCodes
 from isogi_core.frame.gbuffer import GBuffer, trace
 from isogi_core.model.view import View
@@ -297,7 +297,7 @@ def test_chunks_of_a_large_view_are_looked_at_by_few_rays(
         cast.append(view.width * view.height)
         return trace(view, *given)
 
-    monkeypatch.setattr(renderer, "trace", traced)
+    monkeypatch.setattr(surface_renderer, "trace", traced)
     for size in ((2048, 2048), (16383, 128)):
         assert chunks(client, azimuth=71, width=size[0], height=size[1])
     assert len(cast) == 2 and (1 << 20) >= max(cast) > min(cast) > 0.98 * (1 << 20)

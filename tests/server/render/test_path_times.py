@@ -66,7 +66,7 @@ def test_a_picture_tells_the_time_until_its_pixels_have_light(
 ) -> None:
     view = view_of(scene)
     goal = Goal.checked(0.02)
-    checks = engine.renderer(scene.id).checks
+    checks = engine.renderer(scene.id).surface.checks
     while (frame := engine.survey(scene.id, view, goal)).provisional:
         engine.frame(scene.id, view, goal=goal, wait=0.05)
     told = []
@@ -91,7 +91,7 @@ def test_paths_are_foreseen_before_light_is_final(engine: RenderEngine, scene: S
     goal = Goal.checked(scene.target_error / 4.0)
     engine.frame(scene.id, view, goal=Goal.checked(0.5), wait=LONG)
     frame = engine.survey(scene.id, view, goal)
-    left = engine.renderer(scene.id).checks.left
+    left = engine.renderer(scene.id).surface.checks.left
     least = left(frame, goal).pixels
     worse = replace(frame.quality, expected=2.0 * goal.error)
     assert left(replace(frame, quality=worse), goal).pixels > least

@@ -221,16 +221,16 @@ def plain_light(renderer: Renderer, view: View, target: float) -> tuple[np.ndarr
     is seen (h, w).
     """
     gbuffer = renderer.gbuffer(view)
-    texels = renderer.texels(view, gbuffer)
-    shot = renderer.shot(view, gbuffer, Goal(target), renderer.tiles)
-    _, framebuffer = renderer._texels.picture(texels, shot)
+    texels = renderer.surface.texels(view, gbuffer)
+    shot = renderer.surface.shot(view, gbuffer, Goal(target), renderer.tiles)
+    _, framebuffer = renderer.surface.texel_shading.picture(texels, shot)
     size = (view.height, view.width)
     return framebuffer.radiance.reshape(*size, 3), framebuffer.state.reshape(size) > 0
 
 
 def light_of(renderer: Renderer, view: View) -> RotatedLight:
     """The light of a view."""
-    return renderer._light(view)
+    return renderer.surface.light(view)
 
 
 def orthographic_camera(camera: Camera) -> dict[str, Any]:

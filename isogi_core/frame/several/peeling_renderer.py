@@ -1,8 +1,9 @@
-"""Render scenes with several surfaces: light each side by a renderer of its own, and add up."""
+"""Draw scenes with several surfaces by depth peeling: a shot of each side, drawn by a renderer of
+its own, and their sum.
+"""
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, TypeVar
 
@@ -13,15 +14,14 @@ from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import NoRoomError
 from isogi_core.frame.eye_glow import EyeGlow
 from isogi_core.frame.frame import Frame
-from isogi_core.frame.gbuffer import surface_key
+from isogi_core.frame.gbuffer import GBuffer, surface_key
 from isogi_core.frame.rays.picture_plan import Prices
-from isogi_core.frame.several.composed_frame import Part, compose, error_of, parts_of
+from isogi_core.frame.several.composed_frame import ComposedFrame, Part, compose, error_of
 from isogi_core.frame.several.mixed_reading import Level
 from isogi_core.frame.several.peels import Peeler, Peels, first_of, side_layers, walls_of
 from isogi_core.frame.several.smoothing import smooth_surfaces
 from isogi_core.frame.surface_renderer import SurfaceRenderer
 from isogi_core.frame.tiles import Stopwatch, Tiles
-from isogi_core.lru_cache import LruCache
 from isogi_core.model.view import View
 from isogi_core.plan.isovalue_levels import levels_around
 from isogi_core.plan.variants import OUTER, WALLS_SIDE, Side, scene_of_side, sides_of, surfaces_of
@@ -36,21 +36,19 @@ the isovalue itself.
 """
 
 
-class Composer:
-    """Draws views of a scene with several surfaces. Safe to use from many threads."""
+class PeelingRenderer:
+    """Draws and refines pictures of a scene with several surfaces. Safe to use from many threads.
 
-    def __init__(
-        self, own: SurfaceRenderer, side: Callable[..., SurfaceRenderer], kept: LruCache[Any]
-    ) -> None:
-        """Light the outer side of the surface that slides by the scene's renderer, ``own``, and
-        each other side by a renderer that ``side`` makes of caches and levels. Keep peels in
-        ``kept``.
+    Its ``picture`` is a list of shots, one of each side that is seen, and their sum.
+    """
+
+    def __init__(self, outer: SurfaceRenderer) -> None:
+        """Have ``outer`` draw the outer side of the surface that slides, and the walls; and each
+        other side a renderer ``beside`` it. Peels are kept with the results of ``outer``.
         """
-        self._caches = own.caches
-        self._outer = own
-        self._make_renderer = side
-        self._kept = kept
-        self._scene = self._caches.prepared.scene
+        self._outer = outer
+        self._caches = outer.caches
+        self._scene = outer.prepared.scene
         self._inner: PreparedScene | None = None
         self._sides: OrderedDict[tuple[Side, float | None], SurfaceRenderer] = OrderedDict()
         self._held: OrderedDict[tuple[Side, float | None], Caches] = OrderedDict()
@@ -58,32 +56,41 @@ class Composer:
 
     @property
     def nbytes(self) -> int:
-        """The bytes of memory that all other sides take."""
+        """The bytes of memory that all sides take."""
         with self._lock:
             views = sum(each.nbytes - each.caches.nbytes for each in self._sides.values())
-            return views + sum(each.nbytes for each in self._held.values())
+            light = sum(each.nbytes for each in self._held.values())
+        return self._outer.nbytes + views + light
 
-    def draw(self, view: View, goal: Goal, tiles: Tiles, watch: Stopwatch) -> Frame:
-        """Render a view with the light that is there now. Raises Cancelled, and NoRoomError if
+    def picture(self, view: View, goal: Goal, tiles: Tiles, watch: Stopwatch) -> Frame:
+        """Draw the picture of a ``view``: its sides, and the glow in front of them.
+
+        Raises Cancelled, ViewError if the view asks for glow and nothing glows, and NoRoomError if
         the light of this view alone takes more than the budget.
         """
+        return self._outer.add_glow(self._draw(view, goal, tiles, watch), tiles, watch)
+
+    def _draw(self, view: View, goal: Goal, tiles: Tiles, watch: Stopwatch) -> ComposedFrame:
+        """Draw all sides that a ``view`` shows, and add them up. Raises Cancelled and
+        NoRoomError.
+        """
         try:
-            return self._draw(view, goal, tiles, watch)
+            return self._draw_sides(view, goal, tiles, watch)
         except NoRoomError:
             # Light of other isovalues may take the room: drop all, and read again the light of this
             # view alone.
             self._let_go()
-            return self._draw(view, goal, tiles, watch)
+            return self._draw_sides(view, goal, tiles, watch)
 
-    def _draw(self, view: View, goal: Goal, tiles: Tiles, watch: Stopwatch) -> Frame:
-        """Render a view, with the light of other isovalues in memory."""
+    def _draw_sides(self, view: View, goal: Goal, tiles: Tiles, watch: Stopwatch) -> ComposedFrame:
+        """Draw and add up all sides, with the light of other isovalues in memory."""
         with watch.stage("primary"):
-            peels = self.peels(view, tiles)
+            peels = self._peels(view, tiles)
         parts = []
-        # Render each side as a tall picture of its layers, by its renderer; the walls are lit by
-        # the scene's.
+        # Shoot each side as a tall picture of its layers, and have its renderer draw it; walls are
+        # one side, without a surface.
         for side, layers in peels.sides.items():
-            renderer = self.renderer(side, view.isovalue)
+            renderer = self._renderer(side, view.isovalue)
             if side == WALLS_SIDE:
                 shot = renderer.shot(view, peels.walls, goal, tiles, watch)
                 frame = renderer.draw_walls(shot)
@@ -97,52 +104,48 @@ class Composer:
         with watch.stage("compose"):
             return compose(view, peels, parts, watch, goal.error, self._scene)
 
+    def refine(self, view: View, goal: Goal, tiles: Tiles, prices: Prices) -> bool:
+        """Take one step of the picture of a ``view``, whose light is final, towards the ``goal``;
+        return False if there is no step to take.
+
+        Sides have no finer texels, whatever the ``prices``. Raises Cancelled and NoRoomError.
+        """
+        frame = self._draw(view, goal, tiles, Stopwatch())
+        if not frame.refinable:
+            return False
+        # Walls that lag behind may take a step while sides still wait for light.
+        waiting = [
+            part
+            for part in frame.parts
+            if part.frame.checkable and (frame.checkable or part.side == WALLS_SIDE)
+        ]
+        # The side with the largest known error takes the step, or else the next that has a step to
+        # take.
+        for part in sorted(waiting, key=error_of, reverse=True):
+            renderer = self._renderer(part.side, view.isovalue)
+            if renderer.refine_frame(part.frame, goal, tiles, prices.of_present):
+                return True
+        return False
+
     def smooth(self, frame: Frame, tiles: Tiles) -> Frame:
-        """Return a ``frame`` that was drawn with more samples at its edges: where neighbouring
+        """Return the ``frame`` of a picture with more samples at its edges: where neighbouring
         pixels differ as a screen shows them, at the scene's exposure. Raises Cancelled.
         """
         glow = EyeGlow.of(self._caches.prepared, frame.view.glow)
         exposure = self._scene.default_exposure
         return smooth_surfaces(frame, self._peeler(frame.view, tiles), exposure, tiles, glow)
 
-    def _peeler(self, view: View, tiles: Tiles) -> Peeler:
-        """Return the peeler that casts rays of a view at all surfaces and walls."""
-        prepared = self._caches.prepared
-        shown = surfaces_of(self._scene, view.isovalue)
-        surfaces = [prepared.surface(each.isovalue) for each in shown]
-        clears = np.array([each.clear for each in shown])
-        return Peeler.of(view, surfaces, clears, tiles, prepared.walls_in_view)
-
-    def peels(self, view: View, tiles: Tiles) -> Peels:
-        """Return all that a view shows, layer behind layer, kept or peeled now. Raises
-        Cancelled.
+    def gbuffer(self, view: View, tiles: Tiles) -> GBuffer:
+        """Return the G-buffer of the surfaces and walls in front in a ``view``, kept or peeled now.
+        Raises Cancelled.
         """
-        return self._kept.get((Peels, surface_key(view)), lambda: self._peel(view, tiles))
+        return self._peels(view, tiles).first
 
-    def refine(self, view: View, goal: Goal, tiles: Tiles, prices: Prices) -> bool:
-        """Take one step of the picture of a view, whose light is final, towards the ``goal``;
-        return False if there is no step to take.
+    def sees(self, view: View) -> bool:
+        """Return True if the peels of a ``view`` are kept."""
+        return self._outer.kept.held((Peels, surface_key(view))) is not None
 
-        Sides have no finer texels, whatever the ``prices``.
-        """
-        frame = self.draw(view, goal, tiles, Stopwatch())
-        if not frame.refinable:
-            return False
-        # Walls that lag behind may take a step while sides still wait for light.
-        waiting = [
-            part
-            for part in parts_of(frame)
-            if part.frame.checkable and (frame.checkable or part.side == WALLS_SIDE)
-        ]
-        # The side with the largest known error takes the step, or else the next that has a step to
-        # take.
-        for part in sorted(waiting, key=error_of, reverse=True):
-            renderer = self.renderer(part.side, view.isovalue)
-            if renderer.refine_frame(part.frame, goal, tiles, prices.of_present):
-                return True
-        return False
-
-    def renderer(self, side: Side, shown: float) -> SurfaceRenderer:
+    def _renderer(self, side: Side, shown: float) -> SurfaceRenderer:
         """Return the renderer of a ``side``, or of WALLS_SIDE, while the surface that slides
         shows the isovalue ``shown``.
         """
@@ -163,7 +166,7 @@ class Composer:
                     caches = mix[0].caches
                 else:
                     caches = self._caches_of(side, shown)
-                self._sides[key] = self._make_renderer(caches, levels=mix)
+                self._sides[key] = self._outer.beside(caches, mix)
             return newest(self._sides, key, SHOWN * len(sides_of(self._scene)))
 
     def _caches_of(self, side: Side, shown: float) -> Caches:
@@ -222,6 +225,12 @@ class Composer:
             albedo=None,
         )
 
+    def _peels(self, view: View, tiles: Tiles) -> Peels:
+        """Return all that a view shows, layer behind layer, kept or peeled now. Raises
+        Cancelled.
+        """
+        return self._outer.kept.get((Peels, surface_key(view)), lambda: self._peel(view, tiles))
+
     def _peel(self, view: View, tiles: Tiles) -> Peels:
         """Cast the rays of a view through all surfaces and walls, and sort the hits by the sides
         that they are on. Raises Cancelled.
@@ -234,13 +243,21 @@ class Composer:
         sides = {}
         for side in sides_of(self._scene):
             if len(hits.rows_of(side)):
-                prepared = self.renderer(side, view.isovalue).caches.prepared
+                prepared = self._renderer(side, view.isovalue).prepared
                 surface = prepared.surface(surfaces[side.number].isovalue)
                 sides[side] = side_layers(hits, side, first, surface)
         walls, seen = walls_of(hits, first)
         if seen is not None:
             sides[WALLS_SIDE] = seen
         return Peels(first, sides, left, walls)
+
+    def _peeler(self, view: View, tiles: Tiles) -> Peeler:
+        """Return the peeler that casts rays of a view at all surfaces and walls."""
+        prepared = self._caches.prepared
+        shown = surfaces_of(self._scene, view.isovalue)
+        surfaces = [prepared.surface(each.isovalue) for each in shown]
+        clears = np.array([each.clear for each in shown])
+        return Peeler.of(view, surfaces, clears, tiles, prepared.walls_in_view)
 
 
 Kept = TypeVar("Kept")
