@@ -22,7 +22,6 @@ from benchmarks.accuracy.carrying import (
     trilinear,
 )
 from benchmarks.accuracy.projection import (
-    MIN_UNSHADOWED,
     Sides,
     bare_light,
     by_isovalues,
@@ -192,7 +191,7 @@ def test_unshadowed_light_is_that_of_a_surface_which_sees_all(tmp_path: Path) ->
     spec = under_sky.renderer(under_sky.scene).caches.spec("gi")
     sky = bare_light(RotatedLight(spec, under_sky.view))(normals)
     assert sky[0] > sky[2] > sky[1] > 0.0, "up, level, down"
-    assert (sky >= 0.99 * MIN_UNSHADOWED * spec.unoccluded / spec.unit).all()
+    assert (sky >= 0.02 * spec.unoccluded / spec.unit).all(), "no side is black"
 
 
 def test_light_of_lobes_is_on_both_sides(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks.common.serving import serving
 from benchmarks.service.hostile import PROGRAM, generated, program
-from benchmarks.service.routes import COSTLIEST, MOST_MIB, routes
+from benchmarks.service.routes import COSTLIEST, routes
 from isogi_server.api.app import create_app
 from isogi_server.render.engine import RenderEngine
 from isogi_server.settings import Settings
@@ -29,7 +29,7 @@ def test_twelve_of_the_costliest_pictures_fit_into_memory() -> None:
     drawn = [f"--only={path}" for path in ("/frame", "/coverage", "/events", "/card/chunks")]
     found = figures(routes, "demo:casting", "--at-once", "12", "--seconds", "5", *drawn)
     assert found["requests"] >= 13 and found["answered 5xx"] == 0
-    assert 0.0 < found["highest memory of the server, MiB"] < MOST_MIB
+    assert 0.0 < found["highest memory of the server, MiB"] < 1500.0
 
 
 @pytest.mark.long
@@ -37,7 +37,7 @@ def test_twelve_of_the_costliest_pictures_fit_into_memory() -> None:
 def test_twelve_of_the_costliest_requests_fit_into_memory() -> None:
     found = figures(routes, "demo:casting", "--at-once", "12", "--seconds", "20")
     assert found["requests"] > 30 and found["answered 5xx"] == 0
-    assert 0.0 < found["highest memory of the server, MiB"] < MOST_MIB
+    assert 0.0 < found["highest memory of the server, MiB"] < 1500.0
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 
 from benchmarks.scaling.simulator.cluster import Conditions
+from benchmarks.scaling.simulator.light import place_of
 from benchmarks.scaling.simulator.recording import Recording, load
 from benchmarks.scaling.simulator.run import Site, Visits, batch, visit
 from benchmarks.scaling.simulator.visitors import Habits
@@ -27,15 +28,16 @@ def told(found: Visits) -> Visits:
     return replace(found, baker=0.0)
 
 
-def check_nothing_is_left(place: Site) -> None:
-    queue = place.baker._queue
-    assert (
-        not queue.requests
-        and not queue._in_flight
-        and not queue._held
-        and not any(queue._interesting.values())
-    )
-    assert place.baker.tally().in_flight == 0
+def check_nothing_is_left(place: Site, visitors: int) -> None:
+    """No request is open, given up or in flight: neither of the hall, nor of a scene that one
+    visitor alone looked at.
+    """
+    told = place.baker.tally()
+    assert (told.waiting, told.given_up, told.in_flight) == (0, 0, 0)
+    chunks = [place_of(chunk) for chunk in range(len(place.light.recording.ladders))]
+    for scene in ("hall", *(f"own {number}" for number in range(visitors))):
+        assert place.baker.open(scene, chunks) == 0
+        assert not place.baker.failures(scene, chunks)
 
 
 @pytest.mark.parametrize("conditions", [Conditions(1), Conditions(8), HARD])
@@ -47,7 +49,7 @@ def test_every_want_ends_and_nobody_starves(
     assert found.views == 2 * visitors
     assert found.done_share == 1.0 or found.given_up > 0
     assert not found.late
-    check_nothing_is_left(place)
+    check_nothing_is_left(place, visitors)
     assert place.baker.tally().done == found.tasks
 
 
@@ -55,7 +57,7 @@ def test_nothing_is_baked_once_all_have_left_early(recording: Recording) -> None
     found, place = visit(recording, Conditions(1), 5, replace(HABITS, patience=0.2))
     assert found.done_share < 1.0
     assert not found.late
-    check_nothing_is_left(place)
+    check_nothing_is_left(place, 5)
 
 
 def test_what_is_baked_is_all_that_there_is_whoever_bakes_it(recording: Recording) -> None:

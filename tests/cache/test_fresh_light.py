@@ -9,13 +9,7 @@ import pytest
 from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.cache.chunk_record import Chunk
 from isogi_core.cache.chunk_store import ChunkStore
-from isogi_core.cache.fresh_light import (
-    KEPT_SECONDS,
-    REST_SECONDS,
-    WRITE_SECONDS,
-    FreshLight,
-    fresh_light,
-)
+from isogi_core.cache.fresh_light import FreshLight, fresh_light
 from isogi_core.cache.page_pool import PagePool
 from isogi_core.cache.scene_caches import Loader
 from isogi_core.prepared.prepared_scene import Index
@@ -86,11 +80,13 @@ def test_light_is_written_once_it_rests_or_has_waited(
     light.put(baked(spec, A), BOTH)
     light.put(baked(spec, B), (True, False))
     assert indices(light) == []
-    clock.now += REST_SECONDS
+    clock.now += 0.4
+    assert indices(light) == [], "more may come at once"
+    clock.now += 1.6
     assert indices(light, A) == [B], "more of the other is asked for"
     light.put(baked(spec, B, samples=64), BOTH)
     assert indices(light, A) == []
-    clock.now += WRITE_SECONDS - REST_SECONDS
+    clock.now += 6.0
     assert indices(light, A, B) == [A, B], "light that came later waits no longer for that"
     assert [each.changed for each in light.unwritten()] == [BOTH, BOTH]
 
@@ -106,7 +102,10 @@ def test_light_that_comes_while_it_is_written_is_written_too(
     light.written(after)
     assert light.unwritten() == [] and light.newer(A) is None
     assert light.some(A, FEW) is not None, "the next task need not read it"
-    clock.now += KEPT_SECONDS
+    clock.now += 5.0
+    light.sweep(lambda _: False)
+    assert len(light) == 1, "a task may follow"
+    clock.now += 15.0
     light.sweep(lambda index: index == A)
     assert len(light) == 1, "a task is at it"
     light.sweep(lambda _: False)

@@ -8,6 +8,7 @@ import logging
 import shutil
 import threading
 import time
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
@@ -22,12 +23,12 @@ from isogi_core.bake.refine import refine
 from isogi_core.cache import scene_caches as loading
 from isogi_core.cache.chunk_store import ChunkStore
 from isogi_core.cache.page_pool import PAGE_TEXELS, PagePool
-from isogi_core.cache.scene_caches import ASK_AGAIN, MAX_BATCHES_AHEAD, Caches, Loader, read_ahead
+from isogi_core.cache.scene_caches import Caches, Loader, read_ahead
 from isogi_core.errors import Cancelled, StoreAwayError, StoreError
 from isogi_core.frame.tiles import Tiles
 from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.backend import StoreUrl
-from isogi_core.storage.store import REMOTE_READERS, Store
+from isogi_core.storage.store import Store
 from tests.cache.chunks import baked, file_of, spec_of
 from tests.s3 import Call, S3Server
 
@@ -121,9 +122,9 @@ def test_what_is_in_memory_is_not_read_again(
 def test_an_absent_chunk_is_asked_for_again_after_a_while(loader: Loader, clock: Clock) -> None:
     assert brought(loader, A) == ("",)
     light = bake(loader, A)
-    clock.now += ASK_AGAIN / 2
+    clock.now += 0.5
     assert brought(loader, A) == ("",)
-    clock.now += ASK_AGAIN / 2
+    clock.now += 1.5
     assert brought(loader, A) == (light,)
 
 
@@ -196,7 +197,7 @@ def test_damage_counts_as_absence_and_is_logged(
         path.write_bytes(path.read_bytes()[:-1])
     with caplog.at_level(logging.WARNING, "isogi.cache"):
         assert brought(loader, A) == ("",)
-        clock.now += ASK_AGAIN
+        clock.now += 2.0
         assert brought(loader, A) == ("",)
     assert loader.chunk_store.damaged == 4, "it is read anew"
     assert caplog.text.count("checksum") == 2, "and told once"
@@ -250,7 +251,9 @@ def test_of_a_remote_store_many_chunks_are_on_their_way_at_once(
 
 
 def test_a_remote_store_that_fails_half_way_is_an_error(s3: S3Server, spec: BakeSpec) -> None:
-    loader = Loader(ChunkStore(StoreUrl(s3.url, retries=0), spec), PagePool(spec, 1 << 22))
+    clock = Clock()
+    store = Store(StoreUrl(s3.url, retries=0), clock=clock.monotonic)
+    loader = Loader(ChunkStore(store, spec), PagePool(spec, 1 << 22))
     for index in (A, B, C):
         bake(loader, index)
     begun = len(s3.calls)
@@ -261,7 +264,7 @@ def test_a_remote_store_that_fails_half_way_is_an_error(s3: S3Server, spec: Bake
     deadline = time.monotonic() + 30.0
     while loader.pool.missing([A, B, C]):
         assert time.monotonic() < deadline
-        loader.chunk_store.store._checked_until = -1.0
+        clock.now += 2.0
         with suppress(StoreAwayError):  # what was on its way still tells of the fault
             loader.ensure([A, B, C])
 
@@ -317,13 +320,21 @@ def test_a_frame_that_nobody_waits_for_stops_loading(
 
 
 def test_no_more_than_a_few_batches_wait_in_memory() -> None:
-    done = 0
+    begun = 0
+    ahead = list[int]()
+
+    def items() -> Iterator[int]:
+        nonlocal begun
+        for item in range(400):
+            begun += 1
+            yield item
+
     with ThreadPoolExecutor(2) as hands:
-        found = read_ahead(hands, lambda item: item, range(10 * MAX_BATCHES_AHEAD))
-        for item in found:
-            done += 1
-            assert item == done - 1
-            assert hands._work_queue.qsize() <= MAX_BATCHES_AHEAD
+        found = read_ahead(hands, lambda item: item, items())  # type: ignore[arg-type]
+        for done, item in enumerate(found):
+            assert item == done
+            ahead.append(begun - done)
+    assert len(ahead) == 400 and 16 <= max(ahead) <= 64
 
 
 def test_a_view_that_does_not_fit_the_memory_is_an_error(
@@ -396,7 +407,7 @@ def test_all_scenes_of_a_store_share_its_threads(s3: S3Server) -> None:
         for name in SPECS:
             caches.of(name).ensure([*np.ndindex(3, 3, 3)])
     names = [each.name for each in set(threading.enumerate()) - before]
-    assert 0 < sum(name.startswith("loader") for name in names) <= REMOTE_READERS
+    assert 0 < sum(name.startswith("loader") for name in names) <= 32
 
 
 def test_a_place_that_cannot_be_opened_is_an_error_each_time(tmp_path: Path) -> None:

@@ -14,8 +14,6 @@ from PIL import Image
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.light_files import (
-    BLOCK_TEXELS,
-    MAX_TEXTURE_SIDE,
     LitMesh,
     LitVolume,
     glb_bytes,
@@ -147,7 +145,8 @@ def test_a_texture_has_the_light_of_corners_and_between(count: int) -> None:
 
 
 def test_a_texture_too_large_for_any_card_is_refused() -> None:
-    count = (MAX_TEXTURE_SIDE // BLOCK_TEXELS) ** 2 + 1
+    # Four texels along each side of a face, and 16384 along each side of the texture.
+    count = 4096**2 + 1
     mesh = LitMesh(CORNERS, CORNERS, QUAD_MESH.colours, np.broadcast_to(QUADS[:1], (count, 4)))
     with pytest.raises(VolumeError, match="too large"):
         light_texture(mesh)

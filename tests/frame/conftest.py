@@ -22,8 +22,11 @@ from isogi_core.files.radiance import write_hdr
 from isogi_core.frame.demand import Demand
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
+from isogi_core.frame.several.mixed_reading import Level
 from isogi_core.frame.texel_reading import Reading, read_texels
+from isogi_core.frame.texel_shading import TexelShading
 from isogi_core.frame.tiles import Tiles
+from isogi_core.lru_cache import LruCache
 from isogi_core.model.environment import LUMINANCE_WEIGHTS, pixel_directions
 from isogi_core.model.view import View
 from isogi_core.model.volume import Volume, make_volume
@@ -149,6 +152,12 @@ def reading_of(bench: Workbench, view: View, tiles: Tiles) -> Reading:
     loader.ensure(texels.chunks)
     with loader.pool.hold(texels.chunks) as held:
         return read_texels(texels, held.slots, loader.pool, Goal(bench.scene.target_error), tiles)
+
+
+def shading_of(caches: Caches, filters: bool = True) -> TexelShading:
+    """What carries the light of texels to pictures, before anything else lights these."""
+    kept: LruCache[Any] = LruCache(1 << 28)
+    return TexelShading(caches.prepared, (Level(caches),), kept, 1 << 26, filters, None)
 
 
 @pytest.fixture(scope="session")

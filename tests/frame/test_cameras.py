@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from isogi_core.files.vector import Vector
-from isogi_core.frame.fitting import FILLED, Stand, fitted, fitted_to_all
+from isogi_core.frame.fitting import Stand, fitted, fitted_to_all
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.model.choices import PROJECTIONS
 from isogi_core.model.view import Camera, View, orbit, orthographic
 from isogi_core.model.volume import Orientation, make_volume
-from isogi_core.plan.isovalue_presets import FRONT, SKEW_AZIMUTHS, front_of
+from isogi_core.plan.isovalue_presets import front_of
 from isogi_core.plan.scene import Scene
 from tests.frame.conftest import Workbench, ball, scene_of
 from tests.loaded import load_scene
@@ -176,7 +176,7 @@ def test_a_room_is_seen_whole_and_a_wide_floor_is_not(tmp_path: Path) -> None:
             away = np.array(wall.corner) + a * np.array(wall.edges[0]) + b * np.array(wall.edges[1])
             away -= camera.eye
             reached.append(max(abs(away @ right), abs(away @ up)) / (away @ forward))
-    assert max(reached) == pytest.approx(FILLED * np.tan(np.radians(15.0)), rel=0.01)
+    assert 0.9 < max(reached) / np.tan(np.radians(15.0)) < 1.0, "all of it, and as near as can be"
     assert without[1] < on_floor[1] < inside[1] + 0.5
 
 
@@ -185,7 +185,10 @@ def test_the_longer_side_lies_across_the_first_picture() -> None:
         front_of(make_volume(np.zeros(shape)), False)
         for shape in ((4, 8, 8), (4, 16, 8), (4, 8, 80))
     )
-    assert cube == FRONT and long[0] < cube[0] and wide == (SKEW_AZIMUTHS[1], FRONT[1])
+    assert 30.0 < cube[0] < 60.0, "two sides are seen"
+    assert 10.0 < cube[1] < 45.0, "from a little above"
+    assert 10.0 < long[0] < cube[0] < wide[0] < 80.0, "no side is seen straight on"
+    assert long[1] == wide[1] == cube[1]
 
 
 def edges_of(
@@ -224,7 +227,7 @@ def test_from_many_sides_all_is_seen_from_one_distance(projection: str, tmp_path
     found = fitted_to_all(bench.renderer, stands, projection)
     assert found is not None
     reach = np.array([edges_of(bench, stand.view, stand, found, projection) for stand in stands])
-    assert reach.max() == pytest.approx(FILLED, abs=0.04)
+    assert 0.9 < reach.max() < 1.0
     alone = fitted(bench.renderer, views[0], 30.0, 20.0, projection)
     same = fitted_to_all(bench.renderer, [Stand(views[0], 30.0, 20.0)] * 3, projection)
     assert alone is not None and same is not None

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from isogi_core.bake.bake_spec import BakeSpec, spec_for
 from isogi_core.files.radiance import write_hdr
-from isogi_core.frame.lighting import KEY_SHARE, RotatedLight, shoulder_light
+from isogi_core.frame.lighting import RotatedLight, shoulder_light
 from isogi_core.frame.noise_rescaling import (
     all_weights,
     reflected_weights,
@@ -24,7 +24,7 @@ from isogi_core.kernels.transport.harmonics import cosine_lobe_factors, evaluate
 from isogi_core.model.environment import LUMINANCE_WEIGHTS, pixel_directions, solid_angles
 from isogi_core.model.view import IDENTITY, Camera, Quaternion, View, quaternion_from_angles
 from isogi_core.plan.scene import Scene
-from isogi_core.prepared.prepared_scene import UNSHADOWED_ORDER, PreparedScene
+from isogi_core.prepared.prepared_scene import PreparedScene
 from tests.bake.texels import orbital
 from tests.frame.conftest import CONSTANT, LOOSE, SKY, Workbench, luminance
 from tests.loaded import load_scene
@@ -101,14 +101,12 @@ def test_reflected_light_is_tinted_by_the_albedo() -> None:
 
 def test_sky_holds_the_cosine_lobe_of_each_coefficient() -> None:
     turned = around([SKY], ODD, albedo=[0.2, 0.5, 1.0])
-    assert turned.sky.order == UNSHADOWED_ORDER
-    bands = [l for l in range(UNSHADOWED_ORDER) for _ in range(2 * l + 1)]
-    np.testing.assert_allclose(
-        turned.sky.lobe, cosine_lobe_factors(UNSHADOWED_ORDER)[bands] / math.pi
-    )
+    assert turned.sky.order == 3, "with 99 % of any light"
+    bands = [l for l in range(3) for _ in range(2 * l + 1)]
+    np.testing.assert_allclose(turned.sky.lobe, cosine_lobe_factors(3)[bands] / math.pi)
     np.testing.assert_allclose(
         turned.sky.light,
-        turned.light[:, : UNSHADOWED_ORDER**2] * np.array([[0.2], [0.5], [1.0]]) / turned.spec.unit,
+        turned.light[:, :9] * np.array([[0.2], [0.5], [1.0]]) / turned.spec.unit,
     )
 
 
@@ -193,7 +191,15 @@ def test_light_without_a_direction_has_its_key_over_the_shoulder() -> None:
     np.testing.assert_allclose(ambient, [0.4] * 3, rtol=1e-9)
     right, up, forward = CAMERA.basis()
     assert np.dot(key, forward) < 0 < np.dot(key, up) and np.dot(key, right) < 0
-    assert 0 < KEY_SHARE < 1
+
+
+@pytest.mark.parametrize(("glow", "own"), [(10.0, False), (2.0, True)])
+def test_light_with_hardly_a_direction_has_none(tmp_path: Path, glow: float, own: bool) -> None:
+    """A spot has 4 % of all light, or 20 %."""
+    direction = (0.6, 0.0, 0.8)
+    key, _, _ = around([spot(tmp_path, direction, glow)]).key_light()
+    assert (np.dot(key, direction) > 0.99) == own
+    assert (key == shoulder_light(CAMERA)) != own
 
 
 def test_a_scene_without_light_has_a_dark_key_light() -> None:

@@ -16,17 +16,10 @@ from isogi_core.frame.rays.lobe_light import find_lobes, find_starts
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import BLUE_LUMINANCE, GREEN_LUMINANCE, RED_LUMINANCE
 from isogi_core.kernels.shading.lobes import (
-    NEIGHBOUR_AXES,
-    PENUMBRA_RAYS,
-    POINT_WEIGHT,
-    RIM_RAYS,
-    SHARP_SINE,
-    STRATIFIED_VARIANCE,
     rim_way,
 )
-from isogi_core.kernels.shading.shadow_points import MAX_NEIGHBOUR_VOXELS
 from isogi_core.kernels.shading.surface_points import SurfacePoints
-from isogi_core.kernels.tracing.field import RAY_OFFSET_VOXELS, to_index
+from isogi_core.kernels.tracing.field import to_index
 from isogi_core.kernels.tracing.intersect import OUTSIDE_SIGN, cast, launch
 from isogi_core.kernels.transport import streams
 from isogi_core.kernels.transport.lights import DIRECTIONAL, LampArrays, draw_from_disc
@@ -41,6 +34,16 @@ ROOM = np.maximum(FLOOR - Z, np.minimum(np.minimum(EDGE - X, Z - 24.0), 27.0 - Z
 LIGHT = np.array([RED_LUMINANCE, GREEN_LUMINANCE, BLUE_LUMINANCE], float)
 SIDE = 64
 UP = np.array([0.0, 0.0, 1.0])
+
+RIM_RAYS = 4
+"""Rays to the rim of a lobe that is more than half a degree wide."""
+
+DISC_RAYS = (16, 8, 8, 4, 4)
+"""Rays to the disc from a point in the half-shadow, by the pairs beside it that share theirs."""
+
+PAIRS = ((0, 1, 2.0), (1, 0, 2.0), (1, 1, 1.0), (1, -1, 1.0))
+"""Steps along y and x to pairs, and their weights beside 4 of the point: binomial along both."""
+
 Spacing = tuple[float, float, float]
 Lobe = tuple[Sequence[float], float, Sequence[float]]
 
@@ -89,7 +92,8 @@ def picture(points: np.ndarray, spacing: Spacing = (1.0, 1.0, 1.0)) -> GBuffer:
     normals = np.tile(UP.astype(np.float32), (len(points), 1))
     pixels = np.arange(len(points), dtype=np.uint32)
     shown = SurfacePoints(points, normals, pixels)
-    return GBuffer((side, side), spacing, (20.0, 20.0, 40.0), surface, pixels, points, _shown=shown)
+    gbuffer = GBuffer((side, side), spacing, (20.0, 20.0, 40.0), surface, pixels, points)
+    return gbuffer.of_these(shown)
 
 
 def twin(lamps: LampArrays, points: np.ndarray, spacing: Spacing) -> np.ndarray:
@@ -126,7 +130,7 @@ def free(field: Any, p: np.ndarray, w: Any) -> bool:
 def rims_seen(field: Any, lamps: LampArrays, k: int, m: int, p: np.ndarray) -> list[bool]:
     """What a point sees along rays to a lobe's rim; to its middle, where it is sharp."""
     rim = [lamps.places[k]]
-    if np.linalg.norm(lamps.edges[k, 0]) > SHARP_SINE:
+    if np.linalg.norm(lamps.edges[k, 0]) > math.sin(math.radians(0.25)):
         dimension = len(lamps.kinds) + k
         seed = np.uint64(mix(m, streams.LOBES_STREAM))
         first = 0.5 * math.pi * point_2d(seed, 0, dimension)[0]
@@ -144,7 +148,7 @@ def half_seen(
     too.
     """
     given = [
-        (m, POINT_WEIGHT),
+        (m, 4.0),
         *(
             (n, weight)
             for pair, weight in pairs_beside(half, math.isqrt(len(points)), m)
@@ -155,7 +159,7 @@ def half_seen(
     share = 0.0
     variance = 0.0
     for n, weight in given:
-        rays = PENUMBRA_RAYS[len(pairs_beside(half, math.isqrt(len(points)), n))]
+        rays = DISC_RAYS[len(pairs_beside(half, math.isqrt(len(points)), n))]
         each = share_of(field, lamps, k, n, points[n], rays)
         share = share + weight / total * each[0]
         variance = variance + (weight / total) ** 2 * each[1]
@@ -167,7 +171,7 @@ def pairs_beside(half: np.ndarray, side: int, m: int) -> list[tuple[tuple[int, i
     each counts.
     """
     y, x = divmod(m, side)
-    pairs = [((y - dy, x - dx), (y + dy, x + dx), weight) for dy, dx, weight in NEIGHBOUR_AXES]
+    pairs = [((y - dy, x - dx), (y + dy, x + dx), weight) for dy, dx, weight in PAIRS]
     inside = [each for each in pairs if all(0 <= i < side for i in (*each[0], *each[1]))]
     numbered = [((a * side + b, c * side + d), weight) for (a, b), (c, d), weight in inside]
     return [each for each in numbered if half[each[0][0]] and half[each[0][1]]]
@@ -185,7 +189,9 @@ def share_of(
             *point_2d(np.uint64(mix(m, streams.LOBES_STREAM)), i, k),
         )
         brought.append(max(w[2], 0.0) / cosine * free(field, p.astype(float), w))
-    return float(np.mean(brought)), float(STRATIFIED_VARIANCE[rays] * np.var(brought) / (rays - 1))
+    # Rays in strata have less variance than random ones, by the root of their number.
+    variance = np.var(brought) / (rays - 1) / math.sqrt(rays)
+    return float(np.mean(brought)), float(variance)
 
 
 @pytest.mark.slow
@@ -198,9 +204,11 @@ def test_light_of_lobes_is_that_of_all_rays(degrees: float, spacing: Spacing) ->
     points = floor(24)
     lit = light(lamps, points, spacing)
     expected = twin(lamps, points, spacing)
-    same = np.isclose(lit, expected, rtol=1e-5, atol=1e-6).all(axis=1)
+    same = np.isclose(lit[:, :3], expected[:, :3], rtol=1e-5, atol=1e-6).all(axis=1)
+    same &= np.isclose(lit[:, 3], expected[:, 3], rtol=0.05, atol=1e-6)
     assert same.mean() > 0.99 and np.abs((lit - expected)[:, :3]).max() < 0.25
-    assert (expected[:, 3] > 0.0).any() == (degrees > 1.0), "half-shadows are of wide lobes"
+    for each in (lit, expected):
+        assert (each[:, 3] > 0.0).any() == (degrees > 1.0), "half-shadows are of wide lobes"
 
 
 def leaves(seed: int, shade: float) -> np.ndarray:
@@ -215,17 +223,19 @@ def leaves(seed: int, shade: float) -> np.ndarray:
 def test_spots_of_light_below_leaves_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
     """By the ray of each point: seven in ten of those that its neighbours made wrong are right."""
     lamps = lamps_of(((0.05, 0.1, 1.0), 0.2, (1.0,) * 3))
-    wrong = dict.fromkeys((0, lobe_light.DAPPLE_REACH), 0)
+    wrong = dict.fromkeys(("by neighbours", "by all"), 0)
     for seed, shade, side in ((1, 2.0, 40), (2, 3.0, 40), (2, 2.0, 24)):
         canopy = leaves(seed, shade)
         monkeypatch.setitem(globals(), "ROOM", canopy)
         points = floor(side)
         field = field_of(canopy, (1.0, 1.0, 1.0))
         reached = [free(field, p, lamps.places[0]) for p in points.astype(float)]
-        for reach in wrong:
-            monkeypatch.setattr(lobe_light, "DAPPLE_REACH", reach)
-            lit = light(lamps, points)[:, 0]
-            wrong[reach] += int(((lit > 0.0) != reached).sum())
+        for how in wrong:
+            with monkeypatch.context() as patch:
+                if how == "by neighbours":
+                    patch.setattr(lobe_light, "DAPPLE_REACH", 0)
+                lit = light(lamps, points)[:, 0]
+            wrong[how] += int(((lit > 0.0) != reached).sum())
     before, after = wrong.values()
     assert before > 15 and after <= 0.3 * before, wrong
 
@@ -235,7 +245,6 @@ def test_neighbours_far_apart_on_the_surface_are_not_believed(side: int, believe
     """Four pixels are 2 voxels of the finer picture, and 6 of the coarser one, whose next
     neighbours still count.
     """
-    assert 2.0 * math.sqrt(2.0) < MAX_NEIGHBOUR_VOXELS < 6.0
     starts = find_starts(picture(floor(side)), Tiles(1))
     first = starts.picture.around[:, 0].reshape(side, side)[4:-4, 4:-4]
     assert (first[::4, ::4] == -1).all(), "those that are asked first"
@@ -287,7 +296,8 @@ def half_shadow_of_the_shelf(points: np.ndarray, degrees: float) -> tuple[np.nda
     radius = math.sin(math.radians(degrees / 2.0))
     near = np.abs(points[:, 0] - EDGE) < 3.0
     away = EDGE - points[near, 0]
-    slope = away / (np.where(away > 0.0, 24.0, 27.0) - FLOOR - RAY_OFFSET_VOXELS)
+    begins = find_starts(picture(points), Tiles(1)).picture.starts[0, 2]
+    slope = away / (np.where(away > 0.0, 24.0, 27.0) - begins)
     d = np.clip(
         slope / np.sqrt(1.0 + slope**2) / radius, -1.0, 1.0
     )  # a plane cuts the disc about there

@@ -15,9 +15,8 @@ from isogi_core.frame import shading
 from isogi_core.frame.demand import first_texels
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.shading import carry_texel_light, filter_texel_light, lend_light
-from isogi_core.frame.texel_reading import GRAIN, Lacking, grade_rows
+from isogi_core.frame.texel_reading import Lacking, grade_rows
 from isogi_core.frame.tiles import Tiles
-from isogi_core.frame.view_texels import PAIRED
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL, Framebuffer
 from isogi_core.kernels.shading.lattice import (
     BURIED_GRADE,
@@ -32,7 +31,15 @@ from isogi_core.kernels.shading.lattice import (
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.scene_plan import MIN_SAMPLES, most_samples
 from isogi_core.model.view import View
-from tests.frame.conftest import CONSTANT, SKY, Workbench, reading_of, refine_chunk, relative_rmse
+from tests.frame.conftest import (
+    CONSTANT,
+    SKY,
+    Workbench,
+    reading_of,
+    refine_chunk,
+    relative_rmse,
+    shading_of,
+)
 from tests.loaded import load_scene
 
 TARGET = 0.02
@@ -242,18 +249,6 @@ def test_what_moves_reads_few_texels_where_pixels_are_large(workbench: Make) -> 
         )
 
 
-def test_coarse_texels_count_more_in_the_noise_of_pixels() -> None:
-    """By 17/8 in the variance, over points spread evenly in a cell, where two take the weights of
-    four corners each.
-    """
-    share = (np.arange(32) + 0.5) / 32
-    weights = np.stack([1.0 - share, share])
-    corners = np.einsum("ax,by,cz->abcxyz", weights, weights, weights).reshape(8, -1)
-    near = [c.bit_count() < 2 for c in range(8)]
-    pairs = np.stack([corners[near].sum(axis=0), corners[np.invert(near)].sum(axis=0)])
-    assert (pairs**2).sum() / (corners**2).sum() == pytest.approx(PAIRED, rel=2e-3)
-
-
 def test_a_coarse_draft_tells_the_noise_of_its_pixels(workbench: Make) -> None:
     """Over many independent lights of its texels, their pixels scatter as much as is told of them
     in the mean.
@@ -261,7 +256,8 @@ def test_a_coarse_draft_tells_the_noise_of_its_pixels(workbench: Make) -> None:
     bench = orbital(workbench)
     random = np.random.default_rng(3)
     view = replace(bench.view(size=48), moving=True)
-    light = bench.renderer.surface.light(view)
+    gbuffer = bench.renderer.gbuffer(view)
+    light = bench.renderer.surface.shot(view, gbuffer, Goal(1e-3), Tiles(1)).light
     tiles = Tiles(1)
     texels = bench.renderer.surface.texels(view, bench.renderer.gbuffer(view))
     assert texels.coarse
@@ -301,7 +297,8 @@ def test_lent_light_may_all_be_wrong(workbench: Make) -> None:
     lit[:, 3] = 0.01
     lit[turned] = 0.0
     for moving in (False, True):
-        light = bench.renderer.surface.light(replace(view, moving=moving))
+        now = replace(view, moving=moving)
+        light = bench.renderer.surface.shot(now, texels.gbuffer, Goal(1e-3), tiles).light
         found, filtered = filter_texel_light(texels, reading, lit, normals, light, tiles)
         assert (found.grade == CONVERGING).all()
         np.testing.assert_allclose(filtered[turned, :3], 0.5, rtol=1e-3)
@@ -334,10 +331,9 @@ def test_light_that_stays_is_filtered_if_noise_seems_small(workbench: Make) -> N
         refine_chunk(bench.caches.of("gi"), 16, 1e-3, demand)
     texels = bench.renderer.surface.texels(view, bench.renderer.gbuffer(view))
     shot = bench.renderer.surface.shot(view, texels.gbuffer, Goal(1e-3), Tiles(1))
-    reading, smooth = bench.renderer.surface.texel_shading.lit(texels, shot)
-    alone = Renderer(bench.caches, Tiles(1), filters=False)
-    _, plain = alone.surface.texel_shading.lit(texels, shot)
-    quiet = reading.lit & (reading.error <= GRAIN)
+    reading, smooth = shading_of(bench.caches).lit(texels, shot)
+    _, plain = shading_of(bench.caches, filters=False).lit(texels, shot)
+    quiet = reading.lit & (reading.error <= 0.01)
     changed = (smooth[quiet] != plain[quiet]).any(axis=1)
     assert quiet.sum() > 20 and changed.mean() > 0.9
 
@@ -366,7 +362,8 @@ def test_texels_that_seem_quiet_lose_noise_if_it_is_rough(rough: bool, workbench
     lit[:, :3] = 0.5 + noise[:, None]
     lit[:, 3] = 0.5 * error
     normals = np.tile(np.array([[0.0, 0.0, 1.0]], np.float32), (count, 1))
-    light = bench.renderer.surface.light(view)
+    gbuffer = bench.renderer.gbuffer(view)
+    light = bench.renderer.surface.shot(view, gbuffer, Goal(1e-3), Tiles(1)).light
     _, filtered = filter_texel_light(texels, reading, lit, normals, light, tiles)
     left = [np.sqrt(((filtered[some, 1] - 0.5) ** 2).mean()) for some in (quiet, ~quiet)]
     assert left[1] < 0.5 * 0.1

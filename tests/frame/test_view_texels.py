@@ -12,7 +12,6 @@ from isogi_core.frame import texel_normals
 from isogi_core.frame.demand import most_seen
 from isogi_core.frame.texel_normals import ENTRY, LatticeNormals, find_texel_normals
 from isogi_core.frame.tiles import Tiles
-from isogi_core.frame.view_texels import LEAST_SEEN
 from isogi_core.kernels.shading.chunks import add_footprints
 from isogi_core.kernels.shading.lattice import Lattice
 from isogi_report.speed import make_renderer, view_of
@@ -116,8 +115,8 @@ def test_footprints_predict_the_noise_of_pixels(tmp_path: Path) -> None:
     pixels = sum(share[:, None] * noise[corner] for corner, share in each)
     variance = float((np.asarray(pixels) ** 2).sum(axis=0).mean())
     assert variance <= 1.02 * seen.sum()
-    assert variance >= 0.98 * (seen.sum() - LEAST_SEEN * len(seen) * seen.mean())
-    assert seen.min() > 0.0
+    assert variance >= 0.9 * seen.sum()
+    assert 0.02 < seen.min() / seen.mean() < 0.2, "texels that are hardly seen become final, too"
 
 
 def test_footprints_are_the_squares_of_the_weights() -> None:

@@ -14,7 +14,7 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import FINAL, PROVISIONAL
 from isogi_core.model.view import View, Window, read_window
 from isogi_core.plan.scene import Scene
-from isogi_core.plan.volumes.masks import NORMAL_REACH, cut_away, voxels_left
+from isogi_core.plan.volumes.masks import cut_away, voxels_left
 from isogi_core.prepared.prepared_scene import PreparedScene
 from tests.frame.conftest import MIDDLE, Workbench, scene_of, shell
 
@@ -213,6 +213,7 @@ def pair(
 def test_the_wholes_light_stands_in_far_from_faces(
     workbench: Callable[[Scene], Workbench], tmp_path: Path
 ) -> None:
+    """The cut is at 16. Normals are those of the whole volume some four voxels before it."""
     view, whole, cut, renderer = pair(workbench, tmp_path)
     before = whole.renderer.render(replace(view, window=read_window(CUT)))
     bare = cut.renderer.render(view)
@@ -222,14 +223,12 @@ def test_the_wholes_light_stands_in_far_from_faces(
     assert len(lent.demands) == len(bare.demands), "and all of it is still to be baked"
     shared = np.intersect1d(before.gbuffer.pixels, lent.gbuffer.pixels)
     one, other = (each.position.reshape(-1, 3)[shared] for each in (before, lent))
-    far = shared[
-        np.isclose(one, other, atol=1e-3).all(axis=1) & (other[:, 0] < 16 - NORMAL_REACH - 1.8)
-    ]
+    far = shared[np.isclose(one, other, atol=1e-3).all(axis=1) & (other[:, 0] < 11.5)]
     assert len(far) > 20
     shown, wanted, plain = (each.radiance.reshape(-1, 3)[far] for each in (lent, before, bare))
     assert np.allclose(shown, wanted, rtol=1e-4)
     assert np.abs(plain - wanted).max() > 0.05, "without it a hollow that is dark shows the sky"
-    near = lent.gbuffer.pixels[lent.gbuffer.points[:, 0] > 16 - NORMAL_REACH + 1]
+    near = lent.gbuffer.pixels[lent.gbuffer.points[:, 0] > 14.5]
     assert np.array_equal(lent.radiance.reshape(-1, 3)[near], bare.radiance.reshape(-1, 3)[near])
 
 

@@ -4,7 +4,15 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from isogi_core.kernels.tracing.field import bspline, bspline_slope
-from isogi_core.kernels.tracing.stiffness import MAX_SHIFT_VOXELS, STEP_VOXELS
+
+REACH = 1.5
+"""Voxels that a texel is moved at most."""
+
+STRIDE = 1 / 16
+"""Voxels from one place to the next along a way."""
+
+OFFSET = 0.3
+"""Voxels above a surface at which rays start."""
 
 
 def smoothed(voxels, p):
@@ -33,9 +41,18 @@ def search(voxels, p, down, level):
     """The stride (first, last place) along `down` in which the level is crossed; None where it is
     in none.
     """
-    places = p + np.arange(0.0, MAX_SHIFT_VOXELS + STEP_VOXELS / 2, STEP_VOXELS)[:, None] * down
+    places = p + np.arange(0.0, REACH + STRIDE / 2, STRIDE)[:, None] * down
     solid = trilinear(voxels, places) > level
     changes = np.flatnonzero(solid != solid[0])
     if len(changes):
         return places[changes[0] - 1 : changes[0] + 1]
     return None
+
+
+def at_edge(around, own):
+    """Whether a value is at the edge of a plateau: within a tenth of the range from an end of the
+    values around it, two sevenths of which are like it.
+    """
+    low, high = np.nanmin(around), np.nanmax(around)
+    near = 0.1 * (np.float64(high) - np.float64(low))
+    return not low + near < own < high - near and (np.abs(around - own) <= near).mean() >= 2 / 7

@@ -16,11 +16,9 @@ from isogi_core.files.radiance import write_hdr
 from isogi_core.model.environment import (
     FORMULAS,
     GALLERY_HALF_SIZES,
-    GROUND,
     LUMINANCE_WEIGHTS,
     SKYLIGHTS,
     SOFT_BOXES,
-    SUN_ILLUMINANCE,
     cumulative,
     environment_image,
     mean_radiance,
@@ -415,7 +413,7 @@ def test_ratio_of_sun_to_sky_is_that_of_daylight() -> None:
     falling = angles * np.maximum(directions[..., 2], 0.0) * (image @ LUMINANCE_WEIGHTS)
     disc = image @ LUMINANCE_WEIGHTS > 100.0
     ratio = falling[disc].sum() / falling[~disc].sum()
-    assert 70 / 25 < ratio < SUN_ILLUMINANCE / 10
+    assert 70 / 25 < ratio < 110 / 10
 
 
 def test_ground_reflects_what_falls_on_it() -> None:
@@ -503,7 +501,8 @@ def test_its_ground_reflects_what_falls_on_it() -> None:
     sky = seen("overcast")
     up = DIRECTIONS[..., 2] > 0.0
     falling = np.sum((ANGLES * DIRECTIONS[..., 2] * sky)[up])
-    assert sky[~up].max() == sky[~up].min() == pytest.approx(GROUND * falling / math.pi, rel=1e-3)
+    assert sky[~up].max() == sky[~up].min()
+    assert 0.15 < sky[~up].max() * math.pi / falling < 0.6, "as soil, grass and concrete do"
 
 
 def test_the_studio_has_two_boxes_where_they_stand() -> None:

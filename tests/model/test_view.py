@@ -13,7 +13,6 @@ from isogi_core.files.vector import Vector
 from isogi_core.model.choices import VIEW_SHADINGS
 from isogi_core.model.view import (
     IDENTITY,
-    TURN_STEP,
     Camera,
     Quaternion,
     Turn,
@@ -128,7 +127,7 @@ def test_angles_of_a_turn_are_found_again(angles: tuple[float, float, float]) ->
 
 @given(st.tuples(*[st.integers(-72, 72)] * 3))
 def test_a_turn_in_whole_steps_is_its_own_nearest(steps: tuple[int, int, int]) -> None:
-    q = quaternion_from_angles(*(TURN_STEP * each for each in steps))
+    q = quaternion_from_angles(*(5.0 * each for each in steps))
     turn = nearest_turn(q)
     same = quaternion_from_angles(*turn)
     np.testing.assert_allclose(rotation_matrix(same), rotation_matrix(q), atol=1e-6)

@@ -4,13 +4,19 @@ import numpy as np
 import pytest
 
 from isogi_core.model.volume import make_volume
-from isogi_core.plan.histograms import MIN_DECADES, shown_histogram
+from isogi_core.plan.histograms import shown_histogram
 
 
 def decades(span: float) -> np.ndarray:
     """Values whose logarithms are even over so many powers of ten, to 1; 24³ of them."""
     logarithms = -span * np.random.default_rng(4).random((24, 24, 24))
     return (10.0**logarithms).astype(np.float32)
+
+
+def crowded(values: np.ndarray) -> np.ndarray:
+    """The values, and one that is ten times as large as the largest of them."""
+    values[0, 0, 0] = 10.0 * values.max()
+    return values
 
 
 @pytest.mark.parametrize("solid", ["above", "below"])
@@ -30,7 +36,7 @@ def test_values_of_many_decades_have_bins_of_even_ratios(solid: str) -> None:
 @pytest.mark.parametrize(
     "values",
     [
-        decades(MIN_DECADES / 2),
+        crowded(decades(1.0)),
         decades(5.0) - np.float32(0.5),
         (200.0 * decades(5.0)).astype(np.uint8),
         np.float32(1.0) - np.float32(0.9) * decades(5.0),

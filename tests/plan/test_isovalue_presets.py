@@ -14,15 +14,12 @@ from isogi_core.model.volume import Volume, make_volume
 from isogi_core.plan.assembly import load_scene as load
 from isogi_core.plan.bands import project_image
 from isogi_core.plan.isovalue_presets import (
-    FRONT,
-    LEAST_FRONT_SHARE,
-    MAX_SHOWN_ALBEDO,
-    TRIED_ISOVALUES,
     SeenNormals,
     brightness,
     exposure_for,
     find_boundaries,
     find_seen,
+    front_of,
     peaks,
     percentile,
     prominence,
@@ -110,11 +107,10 @@ def test_the_integrals_are_those_of_a_plane() -> None:
         np.broadcast_to(6.0 * np.arange(9.0)[:, None], (5, 9, 7)).copy(), (4.0, 2.0, 3.0)
     )
     total, area = surface_integrals(volume)
-    inner = slice(1, TRIED_ISOVALUES - 1)
-    assert (total[inner] / area[inner]).tolist() == pytest.approx(
-        [3.0 / volume.scale] * (TRIED_ISOVALUES - 2)
-    )
-    assert np.ptp(area[inner]) == pytest.approx(0.0, abs=1e-9)
+    ratios = total[1:-1] / area[1:-1]
+    assert len(ratios) > 100
+    np.testing.assert_allclose(ratios, 3.0 / volume.scale, rtol=1e-6)
+    assert np.ptp(area[1:-1]) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_prominence_is_the_fall_to_the_higher_saddle() -> None:
@@ -140,6 +136,9 @@ def test_the_engine_has_its_two_metals(shared_data: object) -> None:
 # --- exposure
 # --------------------------------------------------------------------------------------------------
 
+
+FRONT = (50.0, 25.0)
+"""Azimuth and elevation from which surfaces are seen."""
 
 WHITE = np.ones(3)
 GREY = (0.5, 0.5, 0.5)
@@ -226,12 +225,17 @@ def test_a_ball_stands_for_a_surface_that_is_not_there() -> None:
     )
 
 
-@pytest.mark.parametrize(("albedo", "shown"), [(0.2, 0.2), (0.7, 0.7), (0.95, MAX_SHOWN_ALBEDO)])
-def test_even_light_shows_the_albedo_or_the_whitest(albedo: float, shown: float) -> None:
+@pytest.mark.parametrize(
+    ("albedo", "least", "most"), [(0.2, 0.199, 0.201), (0.7, 0.696, 0.704), (0.95, 0.7, 0.85)]
+)
+def test_even_light_shows_the_albedo_or_a_light_grey(
+    albedo: float, least: float, most: float
+) -> None:
+    """White surfaces are darkened, so that their highlights keep shape."""
     scene = load_scene(
         "demo:orbital", albedo=albedo, lights=[{"type": "constant", "radiance": 2.0}]
     )
-    assert 2.0 * albedo * scene.default_exposure == pytest.approx(shown, rel=0.005)
+    assert least < 2.0 * albedo * scene.default_exposure < most
 
 
 def test_a_light_from_behind_darkens_no_other_side_to_white() -> None:
@@ -242,7 +246,7 @@ def test_a_light_from_behind_darkens_no_other_side_to_white() -> None:
         lit(ball_volume(), 0.0, lamp_from(az, el)) for az, el in ((45.0, 25.0), (225.0, -25.0))
     )
     assert front.default_exposure == pytest.approx(1.0, abs=0.04)
-    assert behind.default_exposure == pytest.approx(1.0 / LEAST_FRONT_SHARE, abs=0.04)
+    assert 1.4 < behind.default_exposure < 2.8
 
 
 def test_without_light_the_exposure_is_one() -> None:
@@ -263,7 +267,7 @@ def test_hardly_any_of_the_first_picture_is_white(environment: str) -> None:
     bright.
     """
     scene = load_scene("demo:orbital", environment=environment)
-    azimuth, elevation = FRONT
+    azimuth, elevation = front_of(scene.volume, inside=False)
     view = view_of(
         scene,
         48,

@@ -14,12 +14,6 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.model.volume import Isovalue, Volume, make_volume
 from isogi_core.plan import projection
 from isogi_core.plan.projection import (
-    INTERPOLATION_SHARE,
-    NOISY_ERROR,
-    RANGE_BINS,
-    SLIDER_STOPS,
-    SMOOTH_ERROR,
-    STEEP_ERROR,
     ProjectionPlan,
     Stiffness,
     find_stops,
@@ -172,7 +166,8 @@ def test_the_least_gradient_is_that_of_the_field() -> None:
     volume = radial(lambda r: r * r, size=65, spacing=(0.5, 1.0, 0.75))
     low, high = (float(volume.normalise_isovalue(each)) for each in (25.0, 225.0))
     found = least_gradients(volume, (low, high)) * abs(volume.scale)
-    radii = np.sqrt(25.0 + 200.0 * (np.arange(RANGE_BINS) + 0.5) / RANGE_BINS)
+    parts = len(found)
+    radii = np.sqrt(25.0 + 200.0 * (np.arange(parts) + 0.5) / parts)
     assert (found <= 2.0 * radii + 1e-6).all()
     assert (found >= 2.0 * (radii - 1.0)).all()
 
@@ -190,7 +185,7 @@ def test_of_a_large_volume_some_cells_say_nearly_the_same() -> None:
 def test_stops_are_spread_over_the_range_and_are_short_numbers() -> None:
     volume = radial(lambda r: r * r, size=65)
     stops = find_stops(volume, (100.0, 900.0)).levels
-    assert len(stops) == SLIDER_STOPS
+    assert len(stops) == 20
     assert np.diff([100.0, *stops, 900.0]).min() > 0.0
     assert max(len(f"{stop:.15g}") for stop in stops) <= 5
     assert find_stops(volume, (300.0, 300.0)).levels == ()
@@ -203,7 +198,7 @@ def test_outliers_move_no_stop(outlier: float, scale: float) -> None:
     values[4, 4, 4] = outlier * scale
     volume = make_volume(values)
     stops = find_stops(volume, (scale, 4.0 * scale)).levels
-    assert len(stops) == SLIDER_STOPS
+    assert len(stops) == 20
     assert np.diff([1.0, *(stop / scale for stop in stops), 4.0]).min() > 0.0
 
 
@@ -315,15 +310,13 @@ def test_spans_hold_just_the_isovalues_that_project(
 
 
 def test_a_steep_surface_is_projected_and_a_smooth_one_is_not() -> None:
-    """The error of a step is SMOOTH_ERROR + STEEP_ERROR: above what a target of 2 % allows, and
-    below that of 4 %.
+    """A step errs by 1 to 2 %: more than a target of 2 % allows. A slope errs by less, and at 4 %
+    nothing is projected.
     """
     field = field_of(stepped(2.0))
     span = (level(0.0), level(3.0))
     plan = plan_projection(field, span, level(2.0), 0.02)
-    assert plan.allowed == pytest.approx(INTERPOLATION_SHARE * 0.02)
-    assert plan.error(level(0.5)) == pytest.approx(SMOOTH_ERROR)
-    assert plan.error(level(2.0)) == pytest.approx(SMOOTH_ERROR + STEEP_ERROR)
+    assert 0.0025 < plan.error(level(0.5)) < 0.01 < plan.error(level(2.0)) < 0.02
     assert not plan.projects(level(0.5)) and plan.projects(level(2.0))
     assert not plan_projection(field, span, level(2.0), 0.04).any
 
@@ -343,7 +336,7 @@ def test_a_sample_of_layers_tells_what_all_of_them_tell() -> None:
         assert part.expectation(place).likely == pytest.approx(
             whole.expectation(place).likely, rel=0.1
         )
-        assert whole.expectation(place).likely > SMOOTH_ERROR + 0.2 * NOISY_ERROR
+        assert whole.expectation(place).likely > 0.029
 
 
 @pytest.mark.parametrize("most", [1, 100, 1 << 30])

@@ -15,9 +15,8 @@ from isogi_core.kernels.transport.harmonics import rotate
 from isogi_core.kernels.transport.lights import project_lamps
 from isogi_core.model.lights import ConstantLight, DirectionalLight, Light, SkyLight
 from isogi_core.model.scene_plan import Layer, LeftOut, Saving, ScenePlan
-from isogi_core.plan.budget import LONGEST_PATH
 from isogi_core.plan.inputs import PlanOverrides
-from isogi_core.plan.left_out import S1_BYTES, unseen
+from isogi_core.plan.left_out import unseen
 from isogi_core.plan.reachable_texels import TexelCount
 from isogi_core.prepared.prepared_scene import PreparedScene
 from tests.loaded import load_scene
@@ -81,7 +80,7 @@ def test_what_keeps_no_harmonics_is_measured_by_the_paper(case: str) -> None:
     lights, settings = CASES[case]
     plan = plan_of(lights, **settings)
     (saved,) = found(plan)["S1's harmonics in floats of three channels"].saves
-    assert saved.amount == S1_BYTES - bytes_of(plan.layers) and S1_BYTES == 300
+    assert saved.amount == 300 - bytes_of(plan.layers), "25 floats for each of three channels"
     assert saved.unit == "bytes per texel beside S1"
 
 
@@ -160,7 +159,7 @@ def test_reflected_light_is_left_out_where_there_is_none() -> None:
     saved = {
         each.unit: each.amount for each in found(lit)[f"bounces after number {lit.bounces}"].saves
     }
-    assert saved == {"rays per path, at most": LONGEST_PATH - lit.bounces}
+    assert saved == {"rays per path, at most": 1000 - lit.bounces}
 
 
 @pytest.mark.parametrize(("albedo", "told"), [(0.999, None), (1.0, None), (0.7, 1000)])
@@ -168,7 +167,7 @@ def test_bounces_of_the_longest_paths_save_no_number_of_rays(
     albedo: float, told: int | None
 ) -> None:
     plan = plan_of([SKY], PlanOverrides(bounces=told), albedo=albedo)
-    assert plan.bounces == (told or LONGEST_PATH)
+    assert plan.bounces == (told or 1000)
     left = found(plan)[f"bounces after number {plan.bounces}"]
     assert left.saves == ()
     assert (

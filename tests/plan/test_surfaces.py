@@ -13,13 +13,11 @@ from isogi_core.model.material import DIFFUSE, Material
 from isogi_core.model.scene_plan import Layer, LeftOut
 from isogi_core.model.volume import make_volume
 from isogi_core.plan.albedo_nodes import (
-    MAX_NODES,
     choose_nodes,
     mixing_error,
     mixing_weights,
     spread_nodes,
 )
-from isogi_core.plan.budget import MIXING_SHARE
 from isogi_core.plan.isovalue_levels import find_levels, levels_around
 from isogi_core.plan.left_out import percent
 from isogi_core.plan.materials import unrefracted
@@ -168,7 +166,7 @@ def test_nodes_are_the_fewest_within_what_is_allowed(allowed: float) -> None:
 
 
 def test_where_no_nodes_are_enough_there_are_the_most() -> None:
-    assert len(choose_nodes(1.0, 64, 1e-9)) == MAX_NODES
+    assert 4 <= len(choose_nodes(1.0, 64, 1e-9)) <= 10, "each takes a channel of every texel"
 
 
 def test_three_nodes_mix_no_noise_up() -> None:
@@ -193,9 +191,7 @@ def test_a_scene_of_several_albedos_keeps_direct_light_and_nodes(
     direct, indirect = scene.plan.layers
     assert scene.plan.representation == representation and scene.surfaces.albedos == (0.0, 0.9)
     assert (direct.kind, indirect.kind, scene.plan.channels) == ("direct", "indirect", 1)
-    assert (
-        indirect.nodes == choose_nodes(0.9, scene.bounces, MIXING_SHARE * 0.02) == scene.plan.nodes
-    )
+    assert indirect.nodes == scene.plan.nodes and mixing_error(indirect.nodes, scene.bounces) < 0.01
     assert indirect.channels == len(indirect.nodes) == 3
     fixed = load_scene("demo:orbital", lights=[light], albedo=0.9)
     assert (scene.bounces, scene.plan.survival) == (fixed.bounces, fixed.plan.survival), (

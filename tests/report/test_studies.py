@@ -18,7 +18,7 @@ from isogi_core.bake.refine import locate, refine
 from isogi_core.bake.texel_light import Light
 from isogi_core.errors import Cancelled, StoreError, ViewError
 from isogi_core.frame.frame import Frame
-from isogi_core.frame.projected_texels import STEEPNESS, find_distances
+from isogi_core.frame.projected_texels import find_distances
 from isogi_core.frame.renderer import Renderer
 from isogi_core.kernels.shading.framebuffer import PROVISIONAL
 from isogi_core.model.view import View
@@ -26,7 +26,6 @@ from isogi_report import bench as benches
 from isogi_report import studies
 from isogi_report.bench import UNREACHED_GOAL, Bench, ViewBake
 from isogi_report.exact import (
-    CONVERGED_SAMPLE_FACTOR,
     converged,
     cuts_harmonics,
     lit_by_paths,
@@ -76,8 +75,11 @@ def test_texels_far_from_the_surface_are_projected(make_bench: MakeBench) -> Non
     frame = bake.frame()
     texels = len(bake.shown.places)
     assert frame.quality.projection
-    ways = find_distances(bake.shown, renderer.prepared, renderer.tiles).voxels
-    distant = np.flatnonzero(STEEPNESS * ways > 0.05)
+    distances = find_distances(bake.shown, renderer.prepared, renderer.tiles)
+    distant = np.flatnonzero(distances.beyond(0.05))
+    # A tenth of a voxel does not err by 5 %, and two voxels do.
+    assert distances.voxels[distant].min() > 0.3
+    assert np.delete(distances.voxels, distant).max() < 1.5
     np.testing.assert_array_equal(bake.texels[texels:], bake.texels[:texels][distant])
     projected = frame.quality.projection.reading.projected_rows >= 0
     assert 0 < projected.sum() <= len(distant) and not np.delete(projected, distant).any()
@@ -350,7 +352,7 @@ def test_light_that_does_not_fit_is_not_shown(
 
 def test_each_texel_converges_by_its_own_samples(under_sky: Bench) -> None:
     planned = under_sky.planned.samples
-    assert converged(under_sky).samples >= min(CONVERGED_SAMPLE_FACTOR * planned, 256)
+    assert converged(under_sky).samples >= min(4 * planned, 256)
 
 
 def test_references_are_kept_in_the_folder(under_sky: Bench) -> None:

@@ -30,7 +30,7 @@ from isogi_core.model.volume import Isovalue, Volume, make_volume
 from isogi_core.plan.planner import plan_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene, make_field
-from isogi_report.bench import BENCH_CACHE_BYTES, UNREACHED_GOAL, ViewBake
+from isogi_report.bench import UNREACHED_GOAL, ViewBake
 from isogi_report.metrics import luminance_of
 from tests.loaded import load_scene
 from tests.stability.volumes import Specimen, ball, body, grid, ramp
@@ -127,7 +127,7 @@ def renderer_of(scene: Scene) -> Iterator[Renderer]:
         closing(Tiles()) as tiles,
         TemporaryDirectory(ignore_cleanup_errors=True) as folder,
     ):  # stamps of use come late
-        yield Renderer(Caches(PreparedScene(scene), Path(folder), BENCH_CACHE_BYTES), tiles)
+        yield Renderer(Caches(PreparedScene(scene), Path(folder), 1 << 30), tiles)
 
 
 @contextmanager

@@ -9,8 +9,7 @@ from dataclasses import astuple, dataclass
 import numpy as np
 import pytest
 
-from isogi_core.kernels.tracing.field import RAY_OFFSET_VOXELS
-from isogi_core.kernels.tracing.intersect import OUTSIDE_SIGN, SKIN, SOLID_SIGN, UNKNOWN_SIDE
+from isogi_core.kernels.tracing.intersect import OUTSIDE_SIGN, SOLID_SIGN, UNKNOWN_SIDE
 from isogi_core.kernels.transport.integrator import bounce_rays
 from tests.stability.scenes import ARITHMETICS, Surface, surface_of
 from tests.stability.volumes import CLOSED, CLOSED_SIDE, RADIUS, grid
@@ -147,7 +146,7 @@ def follow(surface: Surface, origins: np.ndarray, directions: np.ndarray, by: st
         t, came = surface.cast(origins, directions, sides, by)
         hit = np.isfinite(t)
         ways = t * abs(directions).max(axis=1)
-        sure = hit & (ways > np.where(sides == UNKNOWN_SIDE, SKIN, TOUCH))
+        sure = hit & (ways > np.where(sides == UNKNOWN_SIDE, 2.0 * TOUCH, TOUCH))
         between = surface.height(origins[sure] + 0.5 * t[sure, None] * directions[sure])
         faults.wrong += int((between * came[sure] > 1e-9).sum())
         hop = hit & (ways < TOUCH) & (sides != UNKNOWN_SIDE)
@@ -282,7 +281,7 @@ def test_a_hole_takes_the_surface_of_its_eight_cells_only(
     ("lift", "normal"),
     [
         *((0.0, normal) for normal in EXACT),
-        *((RAY_OFFSET_VOXELS, normal) for normal in EXACT + TILTED),
+        *((0.3, normal) for normal in EXACT + TILTED),
     ],
     ids=lambda value: (
         "normal " + " ".join(map(str, value)) if isinstance(value, tuple) else f"lift {value}"

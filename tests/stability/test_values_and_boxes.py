@@ -15,7 +15,7 @@ from isogi_core.bake.bake_spec import SPECS
 from isogi_core.errors import VolumeError
 from isogi_core.frame.film import develop
 from isogi_core.model.view import Camera, View
-from isogi_core.model.volume import CORE_LIMIT, make_volume
+from isogi_core.model.volume import make_volume
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.active_cell_maps import ActiveCellMaps
 from tests.stability.scenes import frame_of, grey_levels, picture_of, renderer_of, scene_of, view_of
@@ -63,7 +63,8 @@ def test_values_keep_24_bits_of_their_range(name: str) -> None:
     offset = Fraction(volume.offset)
     scale = Fraction(volume.scale)
     span = Fraction(volume.core[1]) - Fraction(volume.core[0]) or Fraction(1)
-    inner = np.isfinite(voxels) & (np.abs(voxels) <= CORE_LIMIT)
+    # Outliers are a hundred times as large as the core, which is from 0 to 1.
+    inner = np.isfinite(voxels) & (np.abs(voxels) <= 10.0)
     assert inner.any()
     for value, voxel in zip(values[inner].tolist(), voxels[inner].tolist(), strict=True):
         assert abs(offset + scale * Fraction(voxel) - Fraction(value)) / span <= Fraction(1, 2**24)

@@ -34,8 +34,6 @@ from isogi_core.storage.backend import StoredObject, StoreUrl
 from isogi_core.storage.folder import Copies
 from isogi_core.storage.object_store import sentence
 from isogi_core.storage.store import (
-    CHECKED,
-    MAX_TRIES,
     SENTINEL_CONTENT,
     SENTINEL_KEY,
     Documents,
@@ -225,8 +223,9 @@ def test_missing_objects_of_a_dead_store_are_not_absent(location: str) -> None:
     other = Store(location, clock=clock)
     other.delete(KEY)
     other.delete(SENTINEL_KEY)
+    clock.now += 0.4
     assert store.get(OTHER) is None, "believed for a moment"
-    clock.now += CHECKED
+    clock.now += 2.0
     for use in (
         lambda: store.get(KEY),
         lambda: store.folders("layer"),
@@ -236,7 +235,7 @@ def test_missing_objects_of_a_dead_store_are_not_absent(location: str) -> None:
         with pytest.raises(StoreAwayError, match="is gone"):
             use()
     Store(location).open()
-    clock.now += CHECKED
+    clock.now += 2.0
     assert store.get(KEY) is None
 
 
@@ -266,10 +265,11 @@ def test_a_folder_that_was_unmounted_is_not_baked_into(tmp_path: Path) -> None:
 
 
 def test_absent_objects_do_not_read_the_sentinel_each_time(s3: S3Server) -> None:
-    store = bucket(s3)
+    clock = Clock()
+    store = bucket(s3, clock)
     assert [store.get(OTHER) for _ in range(3)] == [None] * 3
     assert methods(s3) == [f"GET {OTHER}"] * 3
-    store._clock.now += CHECKED  # type: ignore[attr-defined]
+    clock.now += 2.0
     assert store.get(OTHER) is None
     assert methods(s3)[3:] == [f"GET {OTHER}", f"GET {SENTINEL_KEY}"]
 
@@ -280,7 +280,7 @@ def test_a_store_that_fails_is_away_and_is_let_alone_for_a_while(
 ) -> None:
     clock = Clock()
     store = bucket(s3, clock)
-    clock.now += CHECKED
+    clock.now += 2.0
     s3.fault = lambda call: fault
     for _ in range(5):
         with pytest.raises(StoreAwayError) as raised:
@@ -289,7 +289,7 @@ def test_a_store_that_fails_is_away_and_is_let_alone_for_a_while(
         assert not {ACCESS_KEY, SECRET_KEY} & set(str(raised.value).replace("=", " ").split())
     assert methods(s3) == [f"GET {OTHER}", f"GET {SENTINEL_KEY}"]
     s3.fault = lambda call: None
-    clock.now += CHECKED
+    clock.now += 2.0
     assert store.get(KEY) == StoredObject(b"light")
 
 
@@ -297,7 +297,7 @@ def test_a_bucket_that_is_gone_is_not_taken_for_empty(s3: S3Server) -> None:
     clock = Clock()
     store = bucket(s3, clock)
     s3.fault = lambda call: "no-bucket"
-    clock.now += CHECKED
+    clock.now += 2.0
     with pytest.raises(StoreAwayError, match="is gone"):
         store.get(KEY)
     with pytest.raises(StoreAwayError, match="Cannot make a place for light"):
@@ -609,7 +609,7 @@ def test_a_place_that_is_none_is_told(tmp_path: Path) -> None:
         Documents(str(tmp_path / "file"), "papers").write("one", {})
 
 
-@pytest.mark.parametrize("others", [0, 1, MAX_TRIES - 1, MAX_TRIES])
+@pytest.mark.parametrize("others", [0, 1, 2, 100])
 def test_a_document_that_others_write_too_is_tried_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, others: int
 ) -> None:
@@ -625,13 +625,13 @@ def test_a_document_that_others_write_too_is_tried_again(
 
     documents.write("one", {"a": 1})
     monkeypatch.setattr(Store, "put", contested)
-    if others < MAX_TRIES:
+    if others < 100:
         documents.write("one", {"a": 2})
+        assert documents.read("one") == {"a": 2} and len(tried) == others + 1
     else:
         with pytest.raises(StoreError, match="Others keep writing"):
             documents.write("one", {"a": 2})
-    assert documents.read("one") == {"a": 2 if others < MAX_TRIES else 1}
-    assert len(tried) == min(others + 1, MAX_TRIES)
+        assert documents.read("one") == {"a": 1} and 3 <= len(tried) <= 10
 
 
 # --- what buckets say

@@ -1,12 +1,14 @@
 """Tasks for worker pools, and how tests have workers do other things."""
 
+import os
+import pickle
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterable
+from functools import partial
 from pathlib import Path
-from pickle import dumps
-from queue import Queue
 from typing import Any
 
 import numba
@@ -20,8 +22,7 @@ from isogi_core.plan.assembly import load_scene
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.storage.backend import StoreUrl
 from isogi_core.storage.store import Store
-from isogi_worker.local_pool import LocalPool, Sent
-from isogi_worker.local_worker import Job
+from isogi_worker.local_pool import LocalPool
 from isogi_worker.pool import WorkerPool
 from isogi_worker.tasks import BakeResult, BakeTask
 
@@ -96,15 +97,30 @@ def named(kernels: Iterable[Any]) -> set[str]:
 
 def run(pool: LocalPool, work: Callable[..., Any], *what: Any) -> list[Any]:
     """What each worker of a pool makes of some work; its error is raised."""
-    told: Queue[tuple[Any, BaseException | None]] = Queue()
-    sent = Sent(dumps(Job(work, what)), lambda *answer: told.put(answer))
-    workers = [worker for worker in pool._workers if worker.here]
-    pool.tell([(worker, sent) for worker in workers])
-    answers = [told.get(timeout=LONG) for _ in workers]
+    with tempfile.TemporaryDirectory() as folder:
+        workers = len(pool.pids())
+        pool.prepare(partial(leave_answer, Path(folder), work, what))
+        deadline = time.monotonic() + LONG
+        while len(paths := [*Path(folder).glob("*.answer")]) < workers:
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        answers = [pickle.loads(path.read_bytes()) for path in paths]
     for _, error in answers:
         if error is not None:
             raise error
     return [result for result, _ in answers]
+
+
+def leave_answer(folder: Path, work: Callable[..., Any], what: tuple[Any, ...]) -> None:
+    """In a worker: leave what some work makes, or its error, in a file of its own."""
+    answer: tuple[Any, Exception | None]
+    try:
+        answer = work(*what), None
+    except Exception as error:
+        answer = None, error
+    path = folder / f"{os.getpid()}.partial"
+    path.write_bytes(pickle.dumps(answer))
+    path.rename(path.with_suffix(".answer"))
 
 
 def sleep_for_ever(*_: object) -> None:

@@ -30,8 +30,8 @@ from isogi_core.frame.card.coding import Coding, coding_for
 from isogi_core.frame.card.looks import look_at, seen_chunks
 from isogi_core.frame.known_blocks import KnownBlocks, Packed
 from isogi_core.frame.lighting import RotatedLight
-from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.shot import Shot
+from isogi_core.frame.texel_normals import find_texel_normals
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import FINAL
 from isogi_core.kernels.shading.irradiance_ratio import DIRECT_COLUMN, REFLECTED_COLUMN
@@ -41,7 +41,7 @@ from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index
 from isogi_server.answers import card_scene
 from tests.card_twin import Twin, blocks_in, normal_of, read_coded
-from tests.frame.conftest import CONSTANT, LOOSE, SKY, Workbench, refine_chunk
+from tests.frame.conftest import CONSTANT, LOOSE, SKY, Workbench, refine_chunk, shading_of
 from tests.loaded import load_scene
 
 Make = Callable[[Scene], Workbench]
@@ -77,15 +77,11 @@ def drawn(
     bench: Workbench, view: View, target: float = LOOSE, filters: bool = True
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points, normals and radiance before lobes of a view's surface."""
-    if filters:
-        renderer = bench.renderer
-    else:
-        renderer = Renderer(bench.caches, TILES, filters=False)
-    gbuffer = renderer.gbuffer(view)
+    gbuffer = bench.renderer.gbuffer(view)
     light = RotatedLight(bench.caches.spec("gi"), view)
-    texels = renderer.surface.texels(view, gbuffer)
+    texels = bench.renderer.surface.texels(view, gbuffer)
     shot = Shot(gbuffer, light, Goal(target), TILES)
-    _, framebuffer = renderer.surface.texel_shading.picture(texels, shot)
+    _, framebuffer = shading_of(bench.caches, filters).picture(texels, shot)
     return gbuffer.points, gbuffer.normals(TILES), framebuffer.radiance[gbuffer.pixels]
 
 
@@ -180,8 +176,10 @@ def kernels_inputs(bench: Workbench, view: View, light: RotatedLight) -> tuple[A
 
     texels = bench.renderer.surface.texels(view, bench.renderer.gbuffer(view))
     shot = Shot(texels.gbuffer, light, Goal(LOOSE), TILES)
-    reading, lit = bench.renderer.surface.texel_shading.lit(texels, shot)
-    normals = bench.renderer.surface.texel_shading._texel_normals(texels, reading, shot)
+    shading = shading_of(bench.caches)
+    reading, lit = shading.lit(texels, shot)
+    found = find_texel_normals(texels, shading.normals, bench.prepared, TILES)
+    normals = found.select(reading.on_surface, texels, bench.prepared, TILES)
     return reading, fill_texel_records(reading.grade, lit, normals, light, TILES)
 
 
@@ -433,7 +431,8 @@ def test_coded_pictures_have_colours_by_data(workbench: Make) -> None:
     bench.bake(view)
     framebuffer = draw_coded(bench.renderer, view, coding_of(bench, 1e-4), LOOSE_GOAL)
     gbuffer = bench.renderer.gbuffer(view)
-    tints = bench.renderer.surface.light(view).tints(gbuffer, bench.renderer.tiles)
+    light = RotatedLight(bench.caches.spec("gi"), view)
+    tints = light.tints(gbuffer, bench.renderer.tiles)
     expected = tints * drawn(bench, view)[2]
     shown = framebuffer.radiance[gbuffer.pixels]
     assert np.ptp(tints, axis=0).max() > 0.3

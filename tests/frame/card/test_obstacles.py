@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from isogi_core.frame.card.obstacles import BYTES, find_obstacles
+from isogi_core.frame.card.obstacles import find_obstacles
 from isogi_core.model.view import View, read_window
 from isogi_core.plan.scene import Scene
 from tests.frame.conftest import SKY
@@ -55,6 +55,6 @@ def test_a_view_is_named_by_what_a_card_lacks(settings: dict[str, Any], names: l
 
 def test_a_volume_beyond_the_limit_is_too_large() -> None:
     scene = load_scene("demo:orbital")
-    assert not find_obstacles(scene, view_of(scene), BYTES)
-    (found,) = find_obstacles(scene, view_of(scene), BYTES + 1)
+    assert not find_obstacles(scene, view_of(scene), 64 << 20)
+    (found,) = find_obstacles(scene, view_of(scene), (64 << 20) + 1)
     assert found.name == "volume too large" and "64 MB" in found.why

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from isogi_core.frame.film import LIGHT, develop
+from isogi_core.frame.film import develop
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import FINAL
@@ -212,11 +212,12 @@ def test_what_glows_hides_no_background(tmp_path: Path) -> None:
     frame = bench.renderer.render(bench.view(51.0, 0.0, 4 * SIZE, smooth=True))
     assert frame.airy is not None and frame.airy.sum() > 50 and frame.edges is not None
     rim = np.isin(np.flatnonzero(frame.airy), frame.edges.pixels)
-    smooth, stairs = (
-        develop(each, 1.0, background="light")[frame.airy, 0]
-        for each in (frame, replace(frame, edges=None))
-    )
-    ground = bytes.fromhex(LIGHT)[0]
+    pictures = [
+        develop(each, 1.0, background="light") for each in (frame, replace(frame, edges=None))
+    ]
+    smooth, stairs = (picture[frame.airy, 0] for picture in pictures)
+    assert frame.state[0, 0] == 0, "a corner shows the ground"
+    ground = int(pictures[1][0, 0, 0])
     assert rim.any() and not rim.all()
     assert (stairs >= ground - 1).all() and (stairs > ground).mean() > 0.5
     assert (smooth[~rim] >= ground - 1).all() and (smooth[rim] >= ground - 1).mean() > 0.5

@@ -4,6 +4,7 @@ import math
 import threading
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -16,11 +17,9 @@ from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.errors import Cancelled
 from isogi_core.files.radiance import write_hdr
 from isogi_core.frame.demand import first_texels
-from isogi_core.frame.frame import TAIL, Frame, Quality
+from isogi_core.frame.frame import Frame, Quality
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.control_pixels import (
-    FIRST_CONTROLS,
-    MAX_CONTROLS,
     ControlPixels,
     TotalError,
     chances,
@@ -31,14 +30,8 @@ from isogi_core.frame.rays.control_pixels import (
 from isogi_core.frame.rays.picture_check import PictureCheck
 from isogi_core.frame.rays.picture_plan import (
     AWAITED,
-    CLOSER,
-    COUNTED_TEXEL_SHARE,
-    FINER_TEXELS_FACTOR,
-    HEAVIER,
     PRESENT,
-    QUIETER,
     SHARED_PRICES,
-    TASK,
     Ahead,
     PixelLightCost,
     Plan,
@@ -186,10 +179,11 @@ def test_a_picture_with_outliers_is_not_final(
 ) -> None:
     """Whatever its total error: some of its pixels are far from the truth."""
     frame = checked(coarse, coarse.view(azimuth=20.0, size=32))
-    assert frame.final and frame.tail is not None and frame.tail.likely <= TAIL * TARGET
-    monkeypatch.setattr(Frame, "tail", replace(frame.tail, likely=1.01 * TAIL * TARGET))
+    assert frame.final and frame.tail is not None
+    monkeypatch.setattr(Frame, "tail", replace(frame.tail, likely=10.0 * TARGET))
     assert not replace(frame).final and replace(frame).checkable
-    monkeypatch.setattr(Frame, "tail", replace(frame.tail, likely=TAIL * TARGET))
+    # Of normally distributed errors 99 % stay below 2.6 times their root mean square.
+    monkeypatch.setattr(Frame, "tail", replace(frame.tail, likely=2.6 * TARGET))
     assert replace(frame).final
 
 
@@ -295,7 +289,7 @@ def test_a_rung_is_for_noise_that_it_takes_away(
     climbs = np.arange(1000) < noisy
     reading = reading_of(np.where(climbs, 0.05, 0.03), np.where(climbs, 16, 64))
     state = PictureState(Goal.checked(0.02), drawn=FIRST_LEVEL, paths=64)
-    total = TotalError(0.019, 0.017, 0.022, 2 * FIRST_CONTROLS)
+    total = TotalError(0.019, 0.017, 0.022, 512)
     quality = SimpleNamespace(lacking=SimpleNamespace(reading=reading), known=state)
     frame: Any = SimpleNamespace(
         quality=quality, noise=0.02, measured=total, surface=9, final=False
@@ -315,7 +309,7 @@ def test_controls_noisier_than_the_error_take_more_paths(
     view = coarse.view(azimuth=140.0, size=32)
     target = 0.2
     monkeypatch.setattr("isogi_core.frame.rays.picture_check.paths_for", lambda _: 1)
-    monkeypatch.setattr("isogi_core.frame.rays.picture_check.MAX_CONTROLS", FIRST_CONTROLS)
+    monkeypatch.setattr("isogi_core.frame.rays.picture_check.MAX_CONTROLS", 256)
     frames = climbed(bench, view, target)
     doubted = [each for each in frames if each.measured and each.measured.high > target]
     assert doubted and not doubted[-1].final
@@ -395,7 +389,8 @@ def test_a_frame_that_others_have_overtaken_takes_no_step(coarse: Workbench) -> 
         seen.append(frame.total.controls)
         for _ in range(2):
             assert renderer.surface.refine_frame(frame, Goal(TARGET), renderer.tiles, PRESENT)
-    assert seen[:2] == [0, FIRST_CONTROLS], "the second step waits for a frame that shows the first"
+    assert seen[0] == 0
+    assert 128 <= seen[1] <= 512, "the second step waits for a frame that shows the first"
     one, other = checked(bench, view), checked(coarse.again(), view)
     assert (one.version, one.total) == (other.version, other.total)
 
@@ -521,11 +516,9 @@ def test_noise_asks_for_rungs() -> None:
 
 def test_light_between_texels_asks_for_finer_ones() -> None:
     plan = cheapest(apart=0.03, noise=0.005, texels=2000)
-    assert (
-        plan.finer
-        and plan.rungs == 1
-        and plan.texel_paths == FINER_TEXELS_FACTOR * 2000 * FIRST_LEVEL
-    )
+    assert plan.finer and plan.rungs == 1
+    times_as_many = plan.texel_paths / (2000 * FIRST_LEVEL)
+    assert 2.2 < times_as_many < 8.0, "texels twice as fine, of a surface in a volume"
 
 
 def test_many_texels_leave_pixels_to_light_of_their_own() -> None:
@@ -541,8 +534,13 @@ def test_finer_texels_begin_with_their_first_samples_again() -> None:
     own = PixelLightCost(np.full(9, 0.01), 256, NONE, 1e-12)
     asked: list[np.ndarray] = []
     by_finer(CostSeen(own, asked), errors, noise, 10, CHUNKS, 4 * FIRST_LEVEL, WANTED)
-    assert asked[0] == pytest.approx(CLOSER * 0.04 + 0.01 / QUIETER**2)
-    assert asked[2] == pytest.approx(CLOSER * 0.04 + 0.01) and asked[3][0] < asked[2][0]
+    # On the third rung the noise is as before, and finer texels have 0.11 to 0.44 of the rest.
+    rest = asked[2] - 0.01
+    assert rest.min() > 0.1 * 0.04 and rest.max() < 0.45 * 0.04
+    # Each rung leaves an equal share of the noise, 0.35 to 0.7.
+    shares = [(after - rest) / (before - rest) for before, after in pairwise(asked)]
+    assert 0.35 < shares[0][0] < 0.7
+    assert np.ravel(shares) == pytest.approx(shares[0][0])
 
 
 class CostSeen(PixelLightCost):
@@ -560,9 +558,7 @@ class CostSeen(PixelLightCost):
 def test_what_is_ahead_leaves_out_what_begins_now() -> None:
     own = own_light(0.05**2)
     plan = by_rungs(own, np.full(PIXELS, 0.2), np.full(PIXELS, 0.1), [0.0, 10.0, 30.0], 5)[2]
-    assert (
-        plan.cost(AWAITED) == 10 * TASK + COUNTED_TEXEL_SHARE * HEAVIER * 30.0 + plan.choice.paths
-    )
+    assert plan.cost(AWAITED) == 10 * AWAITED.task + 30.0 * AWAITED.path + plan.choice.paths
     assert plan.ahead(5.0, 100.0) == Ahead(plan.choice.paths + 110.0, 20.0, 3)
     now = by_rungs(own, np.full(PIXELS, 0.2), np.full(PIXELS, 0.1), [0.0], 5)[0]
     assert now.ahead(5.0, 100.0) == Ahead(100.0, 0.0, 1)
@@ -575,11 +571,9 @@ def test_narrow_intervals_take_more_controls() -> None:
     measured = TotalError(0.018, 0.015, 0.018 * 1.2, 256)
     room = math.sqrt(1.2)
     assert controls_to(measured, WANTED / room, WANTED) in (1024, 1025)
-    assert (
-        controls_to(measured, WANTED, WANTED)
-        == controls_to(measured, 0.019999, WANTED)
-        == MAX_CONTROLS
-    )
+    most = controls_to(measured, WANTED, WANTED)
+    assert 2000 < most < 10_000
+    assert controls_to(measured, 0.019999, WANTED) == most
 
 
 def test_cheap_rungs_are_climbed_at_once() -> None:

@@ -10,7 +10,7 @@ import pytest
 from isogi_core.bake.noise import Goal
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.lighting import RotatedLight
-from isogi_core.frame.rays.through_matter import BREADTH, SeenThrough, Trees, dark_row
+from isogi_core.frame.rays.through_matter import SeenThrough, Trees, dark_row
 from isogi_core.frame.shot import Shot
 from isogi_core.kernels.shading.framebuffer import FINAL, PROVISIONAL
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
@@ -76,7 +76,7 @@ def true_light(bench: Workbench, view: View, trees: int) -> np.ndarray:
     """The luminance of each point by so many trees, of other random numbers than a picture's."""
     light = RotatedLight(bench.renderer.caches.spec("gi"), view)
     shot = Shot(bench.renderer.gbuffer(view), light, Goal(LOOSE), bench.renderer.tiles)
-    seen = SeenThrough.of(shot, Trees(BREADTH, range(10, 11), range(trees)))
+    seen = SeenThrough.of(shot, Trees(64, range(10, 11), range(trees)))
     return np.asarray(
         seen.gather(dark_row(0))[0].reshape(-1, trees, 3).mean(axis=1) @ LUMINANCE_WEIGHTS
     )

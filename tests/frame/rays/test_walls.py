@@ -12,15 +12,13 @@ from scipy.interpolate import interp1d
 
 from isogi_core.bake.noise import Goal
 from isogi_core.cache.upkeep import PruneRule, audit_store, census_of, plan_prune
-from isogi_core.cache.wall_store import WallLayer, WallState, WallStore
+from isogi_core.cache.wall_store import WallStore
 from isogi_core.errors import ViewError
 from isogi_core.files.vector import triple
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.wall_light import RoomLight
 from isogi_core.frame.rays.wall_texels import (
-    FINE_WALL_TEXELS,
-    MAX_WALL_TEXELS,
     WallTexels,
     filter_wall,
 )
@@ -214,22 +212,23 @@ def test_damaged_light_of_walls_is_baked_again(room: Workbench, tmp_path: Path) 
     view = room.view(90.0, 0.0, SIZE, distance=4.0)
     true = room.settled(view)
     copy = Workbench(room.scene, Path(shutil.copytree(room.folder, tmp_path / "copy")))
-    state = WallState(
-        float(copy.prepared.surface(view.isovalue).isovalue), copy.scene.surfaces.albedo, 1.0
-    )
-    objects = sorted(
-        (
-            copy.folder
-            / WallLayer(copy.caches.store, copy.prepared, state, FINE_WALL_TEXELS).digest
-        ).glob("c/*/*/*/0")
-    )
-    assert len(objects) == 1
-    objects[0].write_bytes(objects[0].read_bytes()[:-9])
-    found = [damage.key for damage in audit_store(copy.caches.store).damages]
-    assert found == [objects[0].relative_to(copy.folder).as_posix()], "an audit finds it"
+    objects = sorted(path for walls in walls_of(copy) for path in walls.glob("c/*/*/*/0"))
+    assert objects
+    for path in objects:
+        path.write_bytes(path.read_bytes()[:-9])
+    found = sorted(damage.key for damage in audit_store(copy.caches.store).damages)
+    damaged = [path.relative_to(copy.folder).as_posix() for path in objects]
+    assert found == damaged, "an audit finds them"
     assert copy.renderer.render(view).quality.waiting
     np.testing.assert_array_equal(*on_walls(copy.settled(view), true))
     assert audit_store(copy.caches.store).sound
+
+
+def walls_of(bench: Workbench) -> list[Path]:
+    """The folders of a store with light of walls."""
+    counts = census_of(bench.caches.store).counts.values()
+    walls = [each for each in counts if each.facts.layer.kind == "walls"]
+    return [bench.folder / each.files.digest for each in walls]
 
 
 def test_light_of_walls_is_pruned_with_the_rest(room: Workbench, tmp_path: Path) -> None:
@@ -260,11 +259,12 @@ def test_finer_texels_are_what_they_were_when_they_are_read(
     light = RotatedLight(room.caches.spec("gi"), view)
     surface = room.prepared.surface(view.isovalue)
     lit = RoomLight.of(light, surface, store)
-    coarse = WallTexels.begun(light, 0, 1, FINE_WALL_TEXELS).grown(
-        light, surface, room.renderer.tiles
-    )
-    asked = np.zeros((2 * FINE_WALL_TEXELS, 2 * FINE_WALL_TEXELS), bool)
-    asked[20:50, 30:90] = True
+    first = WallTexels.begun(light, 0, 1, 2)
+    coarse = first.nearer(light, surface, LOOSE, room.renderer.tiles)
+    assert 32 <= coarse.across <= 128
+    rows, columns = (2 * each for each in coarse.settled.shape)
+    asked = np.zeros((rows, columns), bool)
+    asked[rows // 6 : rows // 3, columns // 4 : columns // 2] = True
     fine = coarse.finer(light, asked).grown(light, surface, room.renderer.tiles)
     lit.keep([coarse, fine])
     again = RoomLight.of(light, surface, store).side((0, 1)).texels
@@ -313,9 +313,7 @@ def test_walls_tell_what_edges_of_shadows_between_texels_are_off(turn: float) ->
     true = between_texels(texels, shadow)
     assert 0.7 < told / true < 1.6
     assert texels.too_coarse(0.02)
-    assert not wall_texels(MAX_WALL_TEXELS, shadow).too_coarse(0.02), (
-        "and no finer ones are made then"
-    )
+    assert not wall_texels(512, shadow).too_coarse(0.005), "and no finer ones are made then"
 
 
 def test_walls_tell_what_smooth_light_between_texels_is_off() -> None:

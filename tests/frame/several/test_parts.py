@@ -21,7 +21,6 @@ from isogi_core.kernels.shading.lattice import (
     UNBAKED_GRADE,
     VOID_GRADE,
 )
-from isogi_core.kernels.tracing.peels import MAX_PEELED_LAYERS
 from isogi_core.model.view import Camera, View
 from isogi_core.model.volume import make_volume
 from isogi_core.plan.variants import Side
@@ -54,7 +53,6 @@ def test_weights_and_what_is_left_make_a_whole(prepared: PreparedScene) -> None:
     _, hits, left = peeled(prepared, LEVELS, [0.3, 0.6, 0.5])
     total = np.bincount(hits.pixels, hits.weights, SIZE * SIZE) + left.ravel()
     np.testing.assert_allclose(total, 1.0, atol=1.0 / 512.0)
-    assert np.bincount(hits.pixels).max() <= MAX_PEELED_LAYERS
 
 
 def through_sheets(clear: float) -> tuple[Hits, float]:
@@ -82,11 +80,11 @@ def test_a_ray_shows_all_layers_that_count() -> None:
 
 def test_the_last_layer_is_the_opaque_one_that_is_left() -> None:
     hits, left = through_sheets(0.99)
-    assert (hits.sides // 2).tolist() == [1] * (MAX_PEELED_LAYERS - 1) + [0]
-    np.testing.assert_allclose(
-        hits.weights[:-1], 0.01 * 0.99 ** np.arange(MAX_PEELED_LAYERS - 1), rtol=1e-5
-    )
-    assert hits.weights[-1] == pytest.approx(0.99 ** (MAX_PEELED_LAYERS - 1)) and left == 0.0
+    sheets = len(hits.sides) - 1
+    assert 32 <= sheets < 70, "it shows most of them, and no ray takes for ever"
+    assert (hits.sides // 2).tolist() == [1] * sheets + [0]
+    np.testing.assert_allclose(hits.weights[:-1], 0.01 * 0.99 ** np.arange(sheets), rtol=1e-5)
+    assert hits.weights[-1] == pytest.approx(0.99**sheets) and left == 0.0
 
 
 def test_a_surface_at_the_shown_isovalue_is_that_one(prepared: PreparedScene) -> None:

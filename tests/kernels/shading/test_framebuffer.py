@@ -114,14 +114,9 @@ def greys(levels, exposure=1.0):
 
 
 def test_tone_curve_has_no_kink_and_deepens_shade() -> None:
-    s = film.TONE_SHOULDER
-    step = 1e-6
-    bend = next(x for x in np.linspace(0, 1, 100_001) if film.tone(x) >= s)
-    slopes = [
-        (film.tone(x + step) - film.tone(x - step)) / (2 * step)
-        for x in (bend - 1e-4, bend, bend + 1e-4)
-    ]
-    assert slopes == pytest.approx([slopes[0]] * 3, rel=1e-2)
+    x = np.linspace(0.01, 1.0, 10_000)
+    slopes = np.diff([film.tone(each) for each in x]) / np.diff(x)
+    assert np.abs(np.diff(slopes)).max() < 1e-2 * slopes.max()
     assert film.tone(0.0) == 0.0
     assert film.tone(0.1) < 0.1 and film.tone(0.5) > 0.5, (
         "contrast: what is dark is darker, what is bright brighter"

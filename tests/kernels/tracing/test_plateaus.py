@@ -7,11 +7,9 @@ import collections
 import numpy as np
 import pytest
 
-from isogi_core.kernels.tracing.field import RAY_OFFSET_VOXELS
-from isogi_core.kernels.tracing.stiffness import BEHIND_VOXELS, EDGE_SHARE, FLAT_SHARE
 from isogi_core.kernels.transport.transfer import locate_texels
 from tests.kernels.fields import field_of
-from tests.kernels.interpolation import search, smoothed, trilinear
+from tests.kernels.interpolation import OFFSET, at_edge, search, smoothed, trilinear
 
 SIDE = 16
 LAYERS = np.arange(SIDE)[:, None, None] + np.zeros((SIDE, SIDE, SIDE))
@@ -39,13 +37,13 @@ def about(voxels, p):
 
 
 def lifted(voxels, points, normals):
-    """Values RAY_OFFSET_VOXELS above points (m, 3) along their normals in index space, of any
+    """Values where rays from points (m, 3) start along their normals in index space, of any
     length.
     """
     with np.errstate(invalid="ignore"):
         return trilinear(
             voxels,
-            points + RAY_OFFSET_VOXELS * normals / np.linalg.norm(normals, axis=1, keepdims=True),
+            points + OFFSET * normals / np.linalg.norm(normals, axis=1, keepdims=True),
         )
 
 
@@ -56,14 +54,13 @@ def expected(voxels, p):
     block = about(voxels, p)
     own = trilinear(voxels, p[None])[0]
     low, high = np.nanmin(block), np.nanmax(block)
-    edge = EDGE_SHARE * (high - low)
     level = (low + high) / 2
-    if low + edge < own < high - edge or (abs(block - own) <= edge).mean() < FLAT_SHARE:
+    if not at_edge(block, own):
         return "own", own, None
     uphill = smoothed(voxels, p)
     down = uphill / np.linalg.norm(uphill) * (-1.0 if own > level else 1.0)
     found = search(voxels, p, down, level)
-    behind = AROUND[AROUND @ down < BEHIND_VOXELS]
+    behind = AROUND[AROUND @ down < -0.6]
     if own > level and (found is None or (trilinear(voxels, p + behind) <= level).any()):
         return "void", own, None
     if found is None:

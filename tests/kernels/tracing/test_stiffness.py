@@ -9,18 +9,15 @@ from isogi_core.kernels.tracing.field import normal
 from isogi_core.kernels.tracing.stiffness import (
     CELLS_ROW,
     COUNTED_ROWS,
-    EDGE_SHARE,
     FACES_ROW,
-    FLAT_SHARE,
     HOLED_ROW,
-    MIN_MEAN_NORMAL,
     NOISY_ROW,
     PLATEAU_ROW,
-    STEEP_CORNERS,
     STEEP_ROW,
     count_stiffness,
 )
 from tests.kernels.fields import field_of
+from tests.kernels.interpolation import at_edge
 
 
 def steps(shape: tuple[int, int, int], seed: int = 1) -> np.ndarray:
@@ -68,23 +65,17 @@ def told(field, level, place):
     for offset in np.ndindex(2, 2, 2):
         at = tuple(np.add(place, offset))
         around = block(voxels, at, 1, 1)
-        low, high = np.nanmin(around), np.nanmax(around)
-        near = EDGE_SHARE * (np.float64(high) - np.float64(low))
-        own = np.float64(voxels[at])
-        edges += bool(
-            not low + near < own < high - near
-            and (np.abs(around - own) <= near).mean() >= FLAT_SHARE
-        )
+        edges += bool(at_edge(around, np.float64(voxels[at])))
         hole |= bool(np.isnan(around).any())
         n = normal(field, tuple(float(a) for a in at[::-1]))
         void |= n == (0.0, 0.0, 0.0)
         normals += [n] if n != (0.0, 0.0, 0.0) else []
     if normals:
-        straying = np.linalg.norm(np.sum(normals, axis=0)) / len(normals) < MIN_MEAN_NORMAL
+        straying = np.linalg.norm(np.sum(normals, axis=0)) / len(normals) < 0.9
     else:
         straying = True
-    kinds = {STEEP_ROW: edges >= STEEP_CORNERS, NOISY_ROW: straying, HOLED_ROW: hole}
-    kinds[PLATEAU_ROW] = void or np.count_nonzero(corners == level) >= STEEP_CORNERS
+    kinds = {STEEP_ROW: edges >= 4, NOISY_ROW: straying, HOLED_ROW: hole}
+    kinds[PLATEAU_ROW] = void or np.count_nonzero(corners == level) >= 4
     return (
         {CELLS_ROW}
         | {row for row, is_so in kinds.items() if is_so}

@@ -14,7 +14,6 @@ from isogi_core.kernels.tracing.peels import (
     FIRST_WALL_SIDE,
     MAX_PEELED_LAYERS,
     MAX_SURFACES,
-    MIN_RAY_SHARE,
     Peeled,
     Shells,
     peel_rays,
@@ -176,7 +175,7 @@ def expected_before(
             or (len(found) == MAX_PEELED_LAYERS - 1 and clear == 0.0)
         ):
             found.append((side, t, left * (1.0 - clear)))
-            if left * clear >= MIN_RAY_SHARE:
+            if left * clear >= 1.0 / 512.0:
                 left = left * clear
             else:
                 left = 0.0

@@ -7,7 +7,6 @@ import pytest
 
 from isogi_core.kernels.shading.surface_points import SurfacePoints
 from isogi_core.kernels.tracing.walls import NO_WALL
-from isogi_core.kernels.transport.integrator import WAVE_PATHS
 from isogi_core.kernels.transport.lights import POINT
 from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
 from isogi_core.kernels.transport.rng import mix
@@ -54,7 +53,7 @@ def test_waves_gather_what_paths_one_by_one_do(name, spacing):
     assert (paths > 0.0).mean() > 0.2
 
 
-@pytest.mark.parametrize(("count", "points"), [(3, 300), (WAVE_PATHS // 2 + 5, 2)])
+@pytest.mark.parametrize(("count", "points"), [(3, 300), (2500, 2)])
 def test_points_are_traced_by_the_paths_one_by_one(count, points):
     """To the last bit of their sums, also where one point alone has more paths than a wave."""
     if PYTHON:

@@ -7,10 +7,7 @@ import collections
 import numpy as np
 import pytest
 
-from isogi_core.kernels.tracing.field import RAY_OFFSET_VOXELS
-from isogi_core.kernels.tracing.stiffness import MAX_SHIFT_VOXELS, STEP_VOXELS
 from isogi_core.kernels.transport.transfer import (
-    MAX_BACKTRACK,
     NO_SURFACE,
     NORMAL_TURNED,
     OTHER_SHEET,
@@ -21,7 +18,7 @@ from isogi_core.kernels.transport.transfer import (
     project_texels,
 )
 from tests.kernels.fields import field_of
-from tests.kernels.interpolation import search, smoothed, trilinear
+from tests.kernels.interpolation import OFFSET, REACH, STRIDE, search, smoothed, trilinear
 
 
 def projected(voxels, level, texels, step=(1.0, 1.0, 1.0), spacing=(1.0, 1.0, 1.0)):
@@ -58,16 +55,16 @@ def expected(voxels, level, p, spacing):
         return TOO_FAR, None
     reach = np.linalg.norm(within[1] - p)
     away = np.abs(
-        trilinear(voxels, p + np.arange(0.0, reach - 1e-9, STEP_VOXELS)[:, None] * down) - level
+        trilinear(voxels, p + np.arange(0.0, reach - 1e-9, STRIDE)[:, None] * down) - level
     )
     there = within.mean(axis=0)
     m = outward(voxels, there, spacing)
-    if (away - np.minimum.accumulate(away)).max() > MAX_BACKTRACK * abs(own - level):
+    if (away - np.minimum.accumulate(away)).max() > 0.1 * abs(own - level):
         return OTHER_SHEET, within
     if n @ m <= 0.0:
         return NORMAL_TURNED, within
     up = m / spacing
-    above = trilinear(voxels, there[None] + RAY_OFFSET_VOXELS * up / np.linalg.norm(up))[0]
+    above = trilinear(voxels, there[None] + OFFSET * up / np.linalg.norm(up))[0]
     return (TEXEL_HEMMED if above > level else TEXEL_PROJECTED), within
 
 
@@ -127,7 +124,7 @@ def test_a_surface_farther_than_texels_go_is_out_of_reach():
     height = np.broadcast_to(np.arange(12.0)[:, None, None], (12, 6, 6))
     texels = [[z, 3, 3] for z in range(12)]
     points, _, verdicts = projected(height, 5.2, texels)
-    near = np.abs(np.arange(12) - 5.2) <= MAX_SHIFT_VOXELS
+    near = np.abs(np.arange(12) - 5.2) <= REACH
     assert np.array_equal(verdicts == TEXEL_PROJECTED, near) and (verdicts[~near] == TOO_FAR).all()
     np.testing.assert_allclose(points[near, 2], 5.2)
 
@@ -139,7 +136,7 @@ def test_a_dip_on_the_way_tells_of_another_sheet_if_it_is_deep():
         heights[4] -= dip
         field = np.broadcast_to(heights[:, None, None], (9, 5, 5))
         verdict = projected(field, 4.5, [[3, 2, 2]])[2][0]
-        assert verdict == wanted, f"0.5 to go, and ASTRAY of it is less than {dip}"
+        assert verdict == wanted, f"0.5 to go, a tenth of which is less than {dip}"
 
 
 def test_flat_places_and_holes_have_no_way():

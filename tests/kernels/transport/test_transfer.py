@@ -7,7 +7,6 @@ import math
 import numpy as np
 import pytest
 
-from isogi_core.kernels.tracing.field import RAY_OFFSET_VOXELS
 from isogi_core.kernels.transport.lights import DIRECTIONAL, POINT
 from isogi_core.kernels.transport.paths import PathRules, SampleRange, TransferRules
 from isogi_core.kernels.transport.transfer import bake_irradiance, bake_texels
@@ -92,7 +91,7 @@ def test_a_ball_under_lamps():
     )
     n = every[:, ::-1] - 20.0
     n = n / np.linalg.norm(n, axis=1, keepdims=True)
-    away = bulb - (every[:, ::-1] + RAY_OFFSET_VOXELS * n)
+    away = bulb - (every[:, ::-1] + 0.3 * n)
     near = np.maximum((n * away).sum(axis=1), 0.0) / np.linalg.norm(away, axis=1) ** 3
     expected = np.maximum(n @ sun, 0.0)[:, None] * (2.0, 1.0, 0.5) + near[:, None] * (
         0.0,

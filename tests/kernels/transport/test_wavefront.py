@@ -8,7 +8,6 @@ from isogi_core.bake.bake_spec import spec_for
 from isogi_core.bake.noise import Goal
 from isogi_core.bake.refine import refine
 from isogi_core.bake.texel_light import Light
-from isogi_core.kernels.tracing.field import RAY_OFFSET_VOXELS
 from isogi_core.kernels.tracing.vec import column
 from isogi_core.kernels.tracing.walls import NO_WALL
 from isogi_core.kernels.transport.harmonics import accumulate
@@ -65,9 +64,9 @@ def plateaus(values):
 @pytest.mark.parametrize(
     ("survival", "branches", "smooth", "offset"),
     [
-        (1.0, 1, True, RAY_OFFSET_VOXELS),
+        (1.0, 1, True, 0.3),
         (0.6, 1, True, 0.6),
-        (0.6, 4, True, RAY_OFFSET_VOXELS),
+        (0.6, 4, True, 0.3),
         (1.0, 2, False, 0.0),
         (0.6, 1, False, 0.0),
     ],

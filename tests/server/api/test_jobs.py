@@ -220,7 +220,7 @@ async def test_a_dismissed_job_has_nothing_more_baked(idle: Idle) -> None:
         address = begun.headers["location"]
         await idle.until(lambda: bool(idle.wanted), LONG)
         await asyncio.sleep(0.2)
-        wants = idle.baker._queue.requests.values()
+        wants = idle.queue.requests.values()
         viewers = {each.viewer for request in wants for each in request.interests.values()}
         assert [viewer.patient for viewer in viewers] == [True]
         assert (await client.get(address)).json()["status"] == "running"

@@ -14,13 +14,13 @@ import pytest
 from websockets.sync.client import connect
 
 from isogi_core.bake.noise import Goal
+from isogi_core.plan.scene import Scene
 from isogi_server.api.service import PictureRequest, RenderThreads, Service
-from isogi_server.render.engine import RenderEngine
-from isogi_server.render.loaded_scene import LoadedScene
+from isogi_server.render.loaded_scene import LoadedScene, LoadedScenes
 from isogi_worker.baker import Baker
 from tests.server.idle import idle_server
 
-FIND = RenderEngine._find
+AT = LoadedScenes.at
 SIZE = "width=24&height=24&shading=lambert"
 PATHS = (
     *(
@@ -90,17 +90,17 @@ def test_no_route_loads_a_scene_on_the_event_loop(
 ) -> None:
     on_loop = list[str]()
 
-    def watched(engine: RenderEngine, scene: str) -> LoadedScene:
+    def watched(loaded: LoadedScenes, scene: Scene) -> LoadedScene:
         try:
             asyncio.get_running_loop()
             on_loop.append(path)
         except RuntimeError:
             pass
-        return FIND(engine, scene)
+        return AT(loaded, scene)
 
     path = ""
     with idle_server(small_scene, tmp_path, hand_out_voxels=True) as idle:
-        monkeypatch.setattr(RenderEngine, "_find", watched)
+        monkeypatch.setattr(LoadedScenes, "at", watched)
         found = set()
         for path in PATHS:
             found.add(httpx.get(f"{idle.url}/v1/scenes/small{path}", timeout=60).status_code // 100)

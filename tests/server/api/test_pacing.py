@@ -12,12 +12,6 @@ from isogi_server.api.stream import (
     CLOSE_IDLE,
     CLOSE_POLICY,
     CLOSE_TOO_BIG,
-    HALF,
-    MAX_DRAFT_SECONDS,
-    MAX_PICTURES_AHEAD,
-    PACE_MARGIN,
-    QUARTER,
-    RECEIPT_SECONDS,
     Drafts,
     Inbox,
     Window,
@@ -51,14 +45,16 @@ def test_drafts_are_as_large_as_they_can_come_in_time(
 ) -> None:
     scales = settle(lambda scale: full * scale**2, Drafts(crowded), shown)
     last = scales[-1]
-    half = (full + shown) * HALF**2
+    half = (full + shown) * 0.5**2
     assert len(set(scales[-20:])) == 1, "it does not swing"
-    if not PACE_MARGIN * MAX_DRAFT_SECONDS < half < MAX_DRAFT_SECONDS:
-        assert last == (HALF if half <= MAX_DRAFT_SECONDS else QUARTER)
+    # A half is drawn and shown within 45 ms, or a quarter takes its place (docs/http-streams.md).
+    # Of what nearly takes as long either may come.
+    if not 0.03 < half < 0.045:
+        assert last == (0.5 if half <= 0.045 else 0.25)
 
 
 def test_drafts_that_are_too_slow_at_any_size_are_the_smallest() -> None:
-    assert settle(lambda _: 1.0)[-1] == QUARTER
+    assert settle(lambda _: 1.0)[-1] == 0.25
 
 
 def test_drafts_begin_smaller_where_others_wait() -> None:
@@ -68,7 +64,7 @@ def test_drafts_begin_smaller_where_others_wait() -> None:
 def test_a_single_slow_draft_does_not_shrink_the_next_for_long() -> None:
     drafts = Drafts()
     before = settle(lambda scale: 0.03 * scale, drafts)[-1]
-    drafts.drawn(5 * MAX_DRAFT_SECONDS)
+    drafts.drawn(0.25)
     assert drafts.scale < before
     assert settle(lambda scale: 0.03 * scale, drafts)[-1] == before
 
@@ -77,7 +73,7 @@ def test_a_single_slow_draft_does_not_shrink_the_next_for_long() -> None:
 async def test_a_third_picture_waits_until_the_first_is_shown() -> None:
     window = Window()
     full = []
-    for wish in range(MAX_PICTURES_AHEAD):
+    for wish in range(2):
         await asyncio.wait_for(window.room(), 0.1)
         window.sent(wish)
     waiting = asyncio.create_task(window.room())
@@ -108,10 +104,10 @@ async def test_a_client_that_says_nothing_is_waited_for_a_second() -> None:
     window = Window()
     loop = asyncio.get_running_loop()
     begun = loop.time()
-    for wish in range(MAX_PICTURES_AHEAD + 1):
+    for wish in range(3):
         await window.room()
         window.sent(wish)
-    assert loop.time() - begun == pytest.approx(RECEIPT_SECONDS)
+    assert loop.time() - begun == pytest.approx(1.0)
 
 
 class Socket:

@@ -11,7 +11,6 @@ import pytest
 
 from isogi_core.model.choices import VIEW_SHADINGS
 from isogi_core.plan.assembly import load_scene
-from isogi_core.plan.projection import SLIDER_STOPS
 from isogi_core.plan.variants import under
 from isogi_server.answers import scene_schema
 from tests.server.asking import numbers
@@ -120,7 +119,7 @@ def test_presets_come_from_the_scene_or_are_suggested_in_range(
 
 def test_stops_ascend_in_the_range(scene: dict[str, list[float]]) -> None:
     stops = scene["stops"]
-    assert len(stops) == SLIDER_STOPS
+    assert len(stops) == 20, "as docs/http-numbers.md says"
     assert np.diff([0.2, *stops, 0.8]).min() > 0.0
 
 
@@ -135,7 +134,7 @@ def balls(tmp_path: Path) -> Path:
 def test_stops_are_surfaces_that_are_evenly_spaced(balls: Path) -> None:
     facts = scene_schema(load_scene(balls, isovalues=[100, 900], isovalue=400))
     steps = np.diff(np.sqrt(facts.stops))
-    even = np.diff(np.sqrt(np.linspace(120, 880, SLIDER_STOPS)))
+    even = np.diff(np.sqrt(np.linspace(120, 880, len(facts.stops))))
     assert steps.std() / steps.mean() < 0.25 < even.std() / even.mean()
     assert facts.stops_note == ""
 

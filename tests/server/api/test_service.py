@@ -376,18 +376,23 @@ def test_a_client_that_leaves_has_no_light_baked_any_more(engine: FakeEngine, ap
 
 
 async def test_requests_for_the_same_at_the_same_time_share_one_render(
-    engine: FakeEngine, app: FastAPI
+    engine: FakeEngine, app: FastAPI, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     renders = app.state.service.threads.pictures
+    share = renders.share
+    asked = [0]
     together = threading.Event()
+
+    async def counted(*given: Any) -> Any:
+        asked[0] += 1
+        return await share(*given)
 
     def work(_: threading.Event) -> None:
         """Takes until all have asked."""
-        if not together.is_set() and wait_for(
-            lambda: sum(each.waiting for each in [*renders._flights.values()]) == 4
-        ):
+        if not together.is_set() and wait_for(lambda: asked[0] == 4):
             together.set()
 
+    monkeypatch.setattr(renders, "share", counted)
     engine.doing = work
     answers = await started(app, {}, {"f": "jpeg"}, {"azimuth": 7}, {})
     assert [answer.status_code for answer in answers] == [200] * 4

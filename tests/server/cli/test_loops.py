@@ -8,7 +8,6 @@ import pytest
 from PIL import Image
 
 from isogi_server.cli.film import write_movie
-from isogi_server.cli.loops import LONGEST_MILLISECONDS
 
 SIZE = (41, 30)
 
@@ -54,7 +53,8 @@ def test_a_picture_that_stays_is_shown_for_longer(tmp_path: Path, kind: str) -> 
     assert durations(tmp_path / f"a.{kind}") == [300, 100]
     # One that stays for minutes is shown again and again.
     write_movie(tmp_path / f"b.{kind}", [first] * 130, 1.0)
-    assert durations(tmp_path / f"b.{kind}") == [LONGEST_MILLISECONDS] * 2 + [10_000]
+    shown = durations(tmp_path / f"b.{kind}")
+    assert sum(shown) == 130_000 and 30_000 <= max(shown) <= 120_000
 
 
 def durations(path: Path) -> list[float]:

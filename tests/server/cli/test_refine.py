@@ -67,7 +67,7 @@ def refine(engine: Script, goal: Goal = GOAL, seconds: float | None = None) -> A
 def test_it_asks_until_the_frame_is_final(capsys: pytest.CaptureFixture[str]) -> None:
     engine = Script("a", "b", "c", "final")
     assert refine(engine).version == "final"
-    assert [each["wait"] for each in engine.asked] == [render.FRAME_SECONDS] * 4
+    assert len(engine.asked) == 4 and all(1.0 <= each["wait"] <= 4.0 for each in engine.asked)
     assert all(each["goal"] == GOAL for each in engine.asked)
     bar = capsys.readouterr().err
     assert "lighting" in bar and "about 3.3 min left (1 min to 2 h)" in bar
@@ -76,7 +76,8 @@ def test_it_asks_until_the_frame_is_final(capsys: pytest.CaptureFixture[str]) ->
 def test_it_ends_when_the_time_is_spent() -> None:
     engine = Script("a")
     assert refine(engine, seconds=9).version == "a"
-    assert engine.asked[-1]["wait"] < render.FRAME_SECONDS
+    waits = [each["wait"] for each in engine.asked]
+    assert waits[-1] < max(waits)
 
 
 def test_it_asks_once_where_there_is_no_time() -> None:

@@ -22,7 +22,6 @@ from isogi_core.model.volume import make_volume
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from isogi_server.inspect.inspection import (
-    ISOVALUES,
     InspectionSchema,
     StiffnessSchema,
     SurfaceSchema,
@@ -124,9 +123,9 @@ def test_figures_are_those_of_the_field_and_not_of_its_units(scale: float) -> No
 def test_integer_volumes_get_whole_isovalues_and_the_scenes_own() -> None:
     array = np.arange(8**3).reshape(8, 8, 8) % 251
     found = isovalues_of(scene_of(array.astype(np.uint8), 70.5))
-    assert len(found) == ISOVALUES + 1 and found == sorted(found)
+    assert len(found) == 33 and found == sorted(found), "docs/volumes-change.md: 32 and its own"
     assert [each for each in found if each % 1.0] == [70.5]
-    assert len(isovalues_of(scene_of(array.astype(np.float32), 70.5))) == ISOVALUES + 1
+    assert len(isovalues_of(scene_of(array.astype(np.float32), 70.5))) == 33
 
 
 def test_the_faces_are_named_by_their_voxels() -> None:
@@ -218,7 +217,7 @@ def test_the_document_is_finite(small_scene: Path) -> None:
         raise AssertionError(word)
 
     found = json.loads(inspect(str(small_scene), as_json=True), parse_constant=refuse)["stiffness"]
-    assert len(found["surfaces"]) >= ISOVALUES
+    assert len(found["surfaces"]) >= 32
     for surface in found["surfaces"]:
         shares = [surface[name] for name in ("steep", "plateau", "noisy", "holes")]
         assert all(math.isfinite(share) and 0.0 <= share <= 1.0 for share in shares)

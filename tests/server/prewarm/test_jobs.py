@@ -113,7 +113,7 @@ def test_a_prewarm_yields_to_people_and_is_dismissed_soon(idle: Idle, tmp_path: 
             begun = (await client.post(PREWARM, json=ORDER)).json()
             assert (await client.post(PREWARM, json=ORDER)).json()["jobID"] == begun["jobID"]
             await idle.until(lambda: bool(idle.wanted), LONG)
-            wants = idle.baker._queue.requests.values()
+            wants = idle.queue.requests.values()
             assert all(
                 interest.viewer.patient
                 for request in wants
@@ -122,7 +122,7 @@ def test_a_prewarm_yields_to_people_and_is_dismissed_soon(idle: Idle, tmp_path: 
             await client.get(
                 "/v1/scenes/blocks/frame", params={"width": 24, "height": 20, "isovalue": 0.5}
             )
-            first = idle.baker._queue.take()
+            first = idle.queue.take()
             assert first is not None and any(
                 not interest.viewer.patient for interest in first.interests.values()
             )

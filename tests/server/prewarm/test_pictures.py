@@ -2,6 +2,7 @@
 nothing more.
 """
 
+import asyncio
 import shutil
 import threading
 import time
@@ -18,17 +19,18 @@ import pytest
 from isogi_core.bake.noise import Goal
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.errors import Cancelled
-from isogi_core.frame.rays.picture_plan import COUNTED_TEXEL_SHARE, SHARED_PRICES, Prices
+from isogi_core.frame.rays.picture_plan import SHARED_PRICES, Prices
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.reachable_texels import surface_texels
+from isogi_server.api import prewarm_jobs
 from isogi_server.api.prewarm_jobs import Prewarm
 from isogi_server.cli import prewarm as command
 from isogi_server.cli.prewarm import prewarm
-from isogi_server.prewarm.baking import Step
+from isogi_server.prewarm.baking import PrewarmContext, Step
 from isogi_server.prewarm.order import Views, order_of
 from isogi_server.prewarm.record import Record, Summary
-from isogi_server.prewarm.work import Pictures
+from isogi_server.prewarm.work import Pictures, Seen
 from isogi_server.render.engine import RenderEngine
 from isogi_server.settings import Settings
 from tests.baking import bake_each_texel
@@ -212,16 +214,25 @@ def test_a_check_can_be_cancelled_and_yields(monkeypatch: pytest.MonkeyPatch) ->
         time.sleep(0.05)
         return True
 
-    service = SimpleNamespace(engine=SimpleNamespace(check=check), attended=False)
-    work = Prewarm(service, SimpleNamespace(id="a scene"), order_of({}))  # type: ignore[arg-type]
+    engine = SimpleNamespace(check=check, store="")
+    service: Any = SimpleNamespace(engine=engine, attended=False, settings=Settings())
+    scene: Any = SimpleNamespace(id="a scene", target_error=0.1)
+    work = Prewarm(service, scene, order_of({}), recorded=False)
     rests: list[float] = []
     monkeypatch.setattr(work.cancelled, "wait", rests.append)
     over = threading.Event()
+    step: Any = ("a view", SHARED_PRICES, over)
+
+    def carry_out(context: PrewarmContext, *_: Any) -> SimpleNamespace:
+        assert context.refine(*step) and not rests
+        service.attended = True
+        assert context.refine(*step) and rests[0] >= 0.05
+        return SimpleNamespace(failures=())
+
+    monkeypatch.setattr(prewarm_jobs, "carry_out", carry_out)
+    monkeypatch.setattr(prewarm_jobs, "wanted", lambda *_: None)
+    asyncio.run(work.carry_out(lambda *_: None))
     goal = Goal.checked(0.1)
-    step = ("a view", goal, SHARED_PRICES, over)
-    assert work._refine(*step) and not rests  # type: ignore[arg-type]
-    service.attended = True
-    assert work._refine(*step) and rests[0] >= 0.05  # type: ignore[arg-type]
     assert asked == [("a scene", "a view", goal, work.cancelled, SHARED_PRICES, over)] * 2
 
 
@@ -232,16 +243,20 @@ def test_a_check_ends_with_the_time() -> None:
         assert over.wait(30.0), "a step that nobody ends"
         raise Cancelled("Time is over.")
 
-    frame = SimpleNamespace(checkable=True, by_paths=False)
+    facts = {"surface": 8, "counts": {"final": 2}, "total": SimpleNamespace(likely=0.1)}
+    quality = SimpleNamespace(finer=None, lacking=None)
+    frame = SimpleNamespace(checkable=True, by_paths=False, stages=(), quality=quality, **facts)
     context: Any = SimpleNamespace(
         frame_of=lambda view: frame,
         refine=refine,
         late=lambda end: time.monotonic() >= end,
         check=lambda: None,
+        report=lambda step: None,
     )
     views: Any = ["a view"]
     pictures = Pictures(context, views, sample=False, rung=FIRST_LEVEL)
-    assert pictures._checked(views[0], time.monotonic() + 0.2) is frame
+    pictures.look((0.0, 1.0), time.monotonic() + 0.2)
+    assert pictures.seen == {0: Seen(8, 2, 0.1)} and pictures.waiting == {0}
 
 
 @pytest.mark.parametrize("order", ["viewed", "whole"])
@@ -274,7 +289,7 @@ SEVERAL = "[[surfaces]]\nisovalue = 0.7\nclear = 0.5\n[[lights]]"
 
 @pytest.mark.slow
 def test_finer_texels_are_prewarmed_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    weigh_at(Prices(COUNTED_TEXEL_SHARE, 0.0, 0.0), monkeypatch)
+    weigh_at(Prices(SHARED_PRICES.path, 0.0, 0.0), monkeypatch)
     scene = tmp_path / "coarse.toml"
     order = {"directions": [AT], "distance": 3.0, "width": 128, "height": 128}
     scene.write_text(COARSE)

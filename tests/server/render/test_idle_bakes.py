@@ -9,7 +9,7 @@ from isogi_core.bake.noise import Goal
 from isogi_core.errors import StoreError
 from isogi_core.model.view import Camera, View
 from isogi_server.render import idle_bakes
-from isogi_server.render.idle_bakes import IDLE_VIEWER, MOST_PICTURES, IdleBakes
+from isogi_server.render.idle_bakes import IDLE_VIEWER, IdleBakes
 from isogi_server.render.picture_checks import Picture
 from isogi_worker.bake_requests import Viewer
 from tests.server.sockets import wait_for
@@ -104,12 +104,15 @@ def test_somebody_who_waits_comes_first(bakery: Bakery) -> None:
     assert wait_for(lambda: bakery.begun == [first, first])
 
 
-def test_the_newest_pictures_are_baked_first(bakery: Bakery) -> None:
-    """Older ones than MOST_PICTURES are forgotten."""
-    pictures = [picture(float(number)) for number in range(MOST_PICTURES + 2)]
+def test_the_newest_pictures_are_baked_first(
+    bakery: Bakery, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Older ones are forgotten."""
+    monkeypatch.setattr(idle_bakes, "MOST_PICTURES", 3)
+    pictures = [picture(float(number)) for number in range(5)]
     for each in pictures:
         bakery.idle.add(each)
-    for number in range(MOST_PICTURES):
+    for number in range(3):
         assert wait_for(lambda count=number + 1: len(bakery.begun) == count)
         bakery.bakes[-1].done.set()
     assert bakery.begun == pictures[:1:-1]

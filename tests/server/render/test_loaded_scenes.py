@@ -18,7 +18,7 @@ from isogi_core.plan.scene import Scene
 from isogi_server.errors import UnknownSceneError
 from isogi_server.render import loaded_scene, scene_kernels
 from isogi_server.render.engine import RenderEngine
-from isogi_server.render.loaded_scene import IDLE_SCENE_SECONDS, LoadedScenes
+from isogi_server.render.loaded_scene import LoadedScene, LoadedScenes
 from isogi_server.render.scene_kernels import SceneKernels
 from isogi_worker import pool
 from tests.loaded import load_scene
@@ -56,21 +56,30 @@ def test_scenes_under_the_same_light_share_it(scenes: list[Scene]) -> None:
 @pytest.mark.slow
 @pytest.mark.long
 def test_a_scene_makes_way_and_is_the_same_when_it_is_back(
-    engine: RenderEngine, scenes: list[Scene]
+    engine: RenderEngine, scenes: list[Scene], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     one, other, _ = scenes
+    loads: list[str] = []
+    load = loaded_scene.load_scene_parts
+
+    def watched(scene: Scene, *given: Any, **more: Any) -> LoadedScene:
+        loads.append(scene.id)
+        return load(scene, *given, **more)
+
+    monkeypatch.setattr("isogi_server.render.engine.load_scene_parts", watched)
     engine.admit(other)
-    assert engine._loaded.held(other.id) is None, "nobody has looked at it"
+    assert not loads, "nobody has looked at it"
     first = engine.frame(one.id, view_of(one), wait=LONG)
     renderer = weakref.ref(engine.renderer(one.id))
     lacking = engine.frame(one.id, view_of(one, 120.0))
     engine.frame(other.id, view_of(other), wait=LONG)
     gc.collect()
-    assert engine._loaded.held(one.id) is None and renderer() is None
+    assert loads == [other.id] and renderer() is None
     bake, stage = engine.lacking(one.id, lacking)
     engine.bake(bake, stage).wait(LONG)
     again = engine.frame(one.id, view_of(one), wait=LONG)
     assert again.version == first.version and again.radiance.tobytes() == first.radiance.tobytes()
+    assert loads == [other.id, one.id]
     assert not engine.frame(one.id, view_of(one, 120.0)).demands, (
         "light that came meanwhile is seen"
     )
@@ -112,11 +121,12 @@ def test_what_nobody_looks_at_is_dropped_and_given_back(monkeypatch: pytest.Monk
     kept = LoadedScenes(load, 1 << 20, lambda: now[0])
     first, second = (SimpleNamespace(id=name) for name in ("first", "second"))
     kept.at(first)  # type: ignore[arg-type]
-    now[0] = 0.6 * IDLE_SCENE_SECONDS
-    kept.at(second)  # type: ignore[arg-type]
+    now[0] = 450.0
     kept.drop_idle()
     assert kept.held("first") is not None and not trimmed
-    now[0] = 1.2 * IDLE_SCENE_SECONDS
+    now[0] = 1500.0
+    kept.at(second)  # type: ignore[arg-type]
+    now[0] = 1800.0
     kept.drop_idle()
     assert kept.held("first") is None and kept.held("second") is not None
     assert len(trimmed) == 1

@@ -6,7 +6,6 @@ import pytest
 
 from isogi_core.bake.noise import Goal
 from isogi_core.cache.costs import Cost
-from isogi_core.frame.rays.picture_plan import HEAVIER
 from isogi_core.frame.view_checks import PathsLeft
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
@@ -31,11 +30,18 @@ def scene() -> Scene:
     )
 
 
+def time_of(left: PathsLeft) -> TimeLeft:
+    """The time on two threads after 400 paths of texels took 2 seconds."""
+    return time_of_paths(left, Cost(seconds=2.0, paths=400), 2, {})
+
+
 def test_a_path_takes_a_share_of_those_of_texels_at_first() -> None:
-    left = time_of_paths(PathsLeft(600.0 * HEAVIER, 400.0), Cost(seconds=2.0, paths=400), 2, {})
-    assert (
-        left.likely == pytest.approx(1000.0 * 2.0 / 400 / 2) and left.low < left.likely < left.high
-    )
+    texels, pixels = time_of(PathsLeft(texels=1000.0)), time_of(PathsLeft(1000.0))
+    assert texels.likely == pytest.approx(1000.0 * 2.0 / 400 / 2)
+    assert 1.5 <= texels.likely / pixels.likely <= 6.0
+    both = time_of(PathsLeft(3000.0, 1000.0))
+    assert both.likely == pytest.approx(texels.likely + 3.0 * pixels.likely)
+    assert both.low < both.likely < both.high
 
 
 def test_first_light_does_not_make_later_paths_longer() -> None:
@@ -45,9 +51,9 @@ def test_first_light_does_not_make_later_paths_longer() -> None:
 
 
 def test_a_path_takes_as_long_as_the_pixels_last_ones() -> None:
-    left = time_of_paths(PathsLeft(1000.0, pace=0.01), Cost(seconds=2.0, paths=400), 2, {})
+    left, unsure = time_of(PathsLeft(1000.0, pace=0.01)), time_of(PathsLeft(1000.0))
     assert left.likely == pytest.approx(10.0)
-    assert left.high < time_of_paths(PathsLeft(4000.0 * HEAVIER), Cost(2.0, 400), 2, {}).high
+    assert left.high / left.likely < unsure.high / unsure.likely
 
 
 def test_each_drawing_of_the_picture_takes_its_time() -> None:

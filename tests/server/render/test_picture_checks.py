@@ -12,7 +12,7 @@ from isogi_core.bake.noise import Goal
 from isogi_core.errors import Cancelled
 from isogi_core.model.view import Camera, View
 from isogi_server.render import picture_checks
-from isogi_server.render.picture_checks import MAX_WAITING_PICTURES, PictureChecks
+from isogi_server.render.picture_checks import PictureChecks
 from isogi_worker.bake_requests import Viewer
 
 VIEW = View(0.5, Camera((5.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
@@ -130,13 +130,14 @@ def test_who_leaves_or_moves_on_ends_the_check_at_work(steps: Steps) -> None:
     assert steps.taken == [0.1, 0.2] and steps.told == [(0.1, False), (0.2, False)]
 
 
-def test_no_more_than_so_many_pictures_wait(steps: Steps) -> None:
+def test_no_more_than_so_many_pictures_wait(steps: Steps, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(picture_checks, "MAX_WAITING_PICTURES", 6)
     steps.ask(0.0)
     assert steps.begun.acquire(timeout=LONG)
-    for number in range(MAX_WAITING_PICTURES + 5):
+    for number in range(11):
         steps.ask(1.0 + number, Viewer(number, number))
-    steps.end(MAX_WAITING_PICTURES + 1)
-    assert len(steps.taken) == MAX_WAITING_PICTURES + 1
+    steps.end(7)
+    assert len(steps.taken) == 7
     assert min(steps.taken[1:]) == 1.0 + 5, "those asked for first are dropped"
 
 

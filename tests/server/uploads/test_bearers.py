@@ -144,7 +144,8 @@ def test_jobs_belong_to_who_began_them(ask: Ask, open_app: Any, tokens: Path) ->
 
     async def begun() -> str:
         job = app.state.service.jobs.begin("frame", "A frame", nothing, client=("anna", ""))
-        await app.state.service.jobs._tasks[job.id]
+        while app.state.service.jobs.running(job.id):
+            await asyncio.sleep(0.0)
         return str(job.id)
 
     address = f"/v1/jobs/{asyncio.run(begun())}"

@@ -4,7 +4,6 @@ could do inside.
 
 import asyncio
 import json
-import signal
 import socket
 import subprocess
 import sys
@@ -14,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 import pytest
 
 from isogi_core.files.radiance import encode_rgbe
@@ -59,6 +59,13 @@ def test_the_largest_probe_is_read_within_a_gigabyte(tmp_path: Path) -> None:
     assert "id" in answer and peak < GIGABYTE
 
 
+def readers() -> list[psutil.Process]:
+    """The readers of uploads that this process has started, and that still run."""
+    children = psutil.Process().children()
+    known = [(child, child.as_dict(["cmdline"])["cmdline"] or []) for child in children]
+    return [child for child, command in known if "isogi_server.uploads.reader" in command]
+
+
 def test_a_start_that_takes_long_is_no_reason_to_refuse(
     ask: Ask, open_app: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -66,9 +73,9 @@ def test_a_start_that_takes_long_is_no_reason_to_refuse(
     read = Reader.read
 
     async def held_up(reader: Reader, seconds: float) -> str:
-        process = reader._process
-        process.send_signal(signal.SIGSTOP)
-        asyncio.get_running_loop().call_later(1.5, process.send_signal, signal.SIGCONT)
+        (process,) = readers()
+        process.suspend()
+        asyncio.get_running_loop().call_later(1.5, process.resume)
         return await read(reader, seconds)
 
     monkeypatch.setattr(Reader, "read", held_up)
@@ -105,10 +112,9 @@ async def test_one_upload_is_read_at_a_time(
 async def test_a_reader_that_is_not_needed_any_more_is_gone() -> None:
     """Its upload never came to its end."""
     with tempfile.TemporaryFile() as body, tempfile.TemporaryFile() as out:
-        async with Reader.started(body, out, "a", 8) as reader:
-            process = reader._process
-            assert process.returncode is None
-    assert process.returncode == -signal.SIGKILL
+        async with Reader.started(body, out, "a", 8):
+            (process,) = readers()
+    assert not process.is_running()
 
 
 REFUSALS = {

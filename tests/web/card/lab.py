@@ -17,15 +17,15 @@ import numpy as np
 from playwright.sync_api import Browser, Page
 
 from isogi_core.bake.noise import Goal
-from isogi_core.frame.card.blocks import CHUNKS, fold_chunks, transfer_chunks
+from isogi_core.frame.card.blocks import fold_chunks, transfer_chunks
 from isogi_core.frame.card.colour_codes import ColourCodes
 from isogi_core.frame.card.looks import seen_chunks
-from isogi_core.frame.known_blocks import LEVEL
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import Camera, Quaternion, View, quaternion_from_angles
 from isogi_server.answers import card_scene
 from isogi_server.exports.page_files import SHADERS, shaders
+from tests.frame.conftest import shading_of
 
 WEB = Path(__file__).resolve().parents[3] / "web" / "isogi_web"
 HERE = Path(__file__).resolve().parent
@@ -197,14 +197,14 @@ class CardScene:
         tiles = self.renderer.tiles
         sent = 0
         seen = [each.at for each in seen_chunks(self.renderer, view, Goal.checked(target), tiles)]
-        for first in range(0, len(seen), CHUNKS):
-            some = seen[first : first + CHUNKS]
+        for first in range(0, len(seen), 64):
+            some = seen[first : first + 64]
             answers = [fold_chunks(self.renderer, view, some, Goal.checked(target), tiles)]
             if raw:
                 answers += [transfer_chunks(self.renderer, some, Goal.checked(target), tiles)]
             for answer in answers:
                 name = self.lab.put("answer", b"".join(each.data for each in answer.blocks))
-                sent += len(gzip.compress(self.lab.data[name], LEVEL))
+                sent += len(gzip.compress(self.lab.data[name], 1))
                 self.lab.ask("card.take(await bench.bytes('answer'), given);", view.light)
         return sent
 
@@ -223,14 +223,14 @@ def plain_light(renderer: Renderer, view: View, target: float) -> tuple[np.ndarr
     gbuffer = renderer.gbuffer(view)
     texels = renderer.surface.texels(view, gbuffer)
     shot = renderer.surface.shot(view, gbuffer, Goal(target), renderer.tiles)
-    _, framebuffer = renderer.surface.texel_shading.picture(texels, shot)
+    _, framebuffer = shading_of(renderer.caches).picture(texels, shot)
     size = (view.height, view.width)
     return framebuffer.radiance.reshape(*size, 3), framebuffer.state.reshape(size) > 0
 
 
 def light_of(renderer: Renderer, view: View) -> RotatedLight:
     """The light of a view."""
-    return renderer.surface.light(view)
+    return RotatedLight(renderer.caches.spec(view.shading), view)
 
 
 def orthographic_camera(camera: Camera) -> dict[str, Any]:

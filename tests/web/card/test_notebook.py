@@ -79,13 +79,14 @@ class Notebook:
             {"message": message, "buffers": [b64encode(each).decode() for each in buffers]}
         )
         page.evaluate(f"() => {{ {MODEL} }}")
-        page.add_style_tag(content=viewer._css)
+        files = viewer.get_state(["_css", "_esm"])
+        page.add_style_tag(content=files["_css"])
         state = {
             name: getattr(viewer, name)
             for name in viewer.keys
             if not name.startswith("_") and name != "picture"
         }
-        page.evaluate("([state, esm]) => made(state, esm)", [plain(state), viewer._esm])
+        page.evaluate("([state, esm]) => made(state, esm)", [plain(state), files["_esm"]])
         self.tell("picture"), self.tell("shown")
 
     def tell(self, name: str) -> None:
@@ -100,7 +101,8 @@ class Notebook:
         for each in self.page.evaluate("take()"):
             if "message" in each:
                 self.asked[each["message"]["number"]] = each["message"]["path"]
-                self.viewer._handle_custom_msg(each["message"], [])
+                data = {"method": "custom", "content": each["message"]}
+                self.viewer.comm.handle_msg({"content": {"data": data}, "buffers": []})
                 continue
             self.moves += each["state"].get("moving", False)
             self.silent = True

@@ -19,7 +19,6 @@ from isogi_core.plan.assembly import load_scene
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.storage.store import Store
 from isogi_server.cli.command import run
-from isogi_server.cli.publish_live import LIGHT_TARGET_SHARE
 from isogi_server.parameters import FrameParams, read
 from isogi_server.settings import Settings
 from isogi_server.views import view_of
@@ -50,7 +49,7 @@ class Site:
         self.page = folder / "page"
         self.address = address
         self.document = document_in(self.page / "index.html")
-        self.scene = load_scene(folder / "scene.toml", target_error=LIGHT_TARGET_SHARE * 0.1)
+        self.scene = load_scene(folder / "scene.toml", target_error=0.5 * 0.1)
         self.renderer = Renderer(
             Caches(PreparedScene(self.scene), Store(str(folder / "store")), 1 << 28), Tiles()
         )
