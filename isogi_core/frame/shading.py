@@ -137,7 +137,7 @@ def shade_by_paths(shot: Shot) -> Framebuffer:
     samples = light.view.samples
     framebuffer = empty_framebuffer(gbuffer)
     replicas = replicas_for(samples)
-    count = max(samples // replicas, 1)
+    count = -(-samples // replicas)
     variance = np.empty(len(pixels))
 
     # Trace the paths of some points after the other: sums of replicas take memory for one pass.

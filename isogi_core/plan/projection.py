@@ -350,14 +350,15 @@ def adaptive_shares(
     there = np.isfinite(gradients)
     if not there.any():
         return shares, 0.0
-    # Integrate the way. Parts without a surface take none, and are left out so that it can be
-    # inverted.
+    # Integrate the way. Parts without a surface take none: of a gap both ends are kept, where the
+    # way stands still, and of a gap at an end of the range the inner one.
     way = np.append(
         0.0, np.cumsum(np.where(there, 1.0 / (np.where(there, gradients, 0.0) + soft), 0.0))
     )
     edges = np.arange(RANGE_BINS + 1) / RANGE_BINS
-    onward = np.append(True, np.diff(way) > 0.0)
-    found = np.interp(shares, way[onward] / way[-1], edges[onward])
+    moves = np.diff(way) > 0.0
+    kept = np.append(moves, False) | np.append(False, moves)
+    found = np.interp(shares, way[kept] / way[-1], edges[kept])
     return found, float((gradients[there] < soft).mean())
 
 

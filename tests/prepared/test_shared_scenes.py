@@ -104,6 +104,18 @@ def test_another_file_of_the_same_number_is_not_taken(scene: Scene) -> None:
         receive_scene(wrong, MAP_BYTES)
 
 
+def test_a_share_that_fails_keeps_no_file(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    own = PreparedScene(scene)
+    shares = SharedScenes()
+    before = len(os.listdir("/proc/self/fd"))
+    with monkeypatch.context() as patch:
+        patch.setattr(shared_scenes, "ScenePickler", None)
+        for _ in range(3):
+            assert shares.share(own) is None
+    assert len(os.listdir("/proc/self/fd")) == before
+    assert shares.share(own) is not None
+
+
 def test_large_volumes_are_left_to_their_copies(
     scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:

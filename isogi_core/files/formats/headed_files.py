@@ -12,6 +12,7 @@ import numpy as np
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats.side_headers import (
+    MOST_HEADER_BYTES,
     Described,
     grid_of,
     keys_of,
@@ -60,9 +61,14 @@ VFF_TYPES = {8: "u1", 16: ">i2", 32: ">f4"}
 def open_vff(source: Source) -> Grid:
     """Open a scan of GE's microCT as a grid: numbers are big-endian. Raises VolumeError."""
     text, end, _ = text_of(source).partition(VFF_END)
+    if not end:
+        raise VolumeError(
+            f"The VFF header of '{source.name}' does not end within {MOST_HEADER_BYTES} bytes: "
+            "export the scan again."
+        )
     keys = keys_of(text.replace(";", "\n"), "=")
     bits = int(numbers(source, keys, "bits", 1)[0])
-    if not end or keys.get("bands", "1") != "1" or bits not in VFF_TYPES or "compress" in text:
+    if keys.get("bands", "1") != "1" or bits not in VFF_TYPES or "compress" in text:
         raise VolumeError(
             f"'{source.name}' is VFF of {bits} bits, packed or of several bands: export it as "
             "DICOM or TIFF from the scanner's program."
