@@ -5,6 +5,7 @@ Parameters of views spell such changes: the shares of rays that pass pinned surf
 and the material of the surface.
 """
 
+import math
 import sys
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -646,8 +647,8 @@ class Settings:
         if not within[0] <= value[0] <= value[1] <= within[1]:
             raise self._wrong(
                 key,
-                f"two ascending numbers from {shortest(within[0])} to {shortest(within[1])}, the "
-                "volume's range",
+                f"two numbers from {shortest(within[0])} to {shortest(within[1])}, the volume's "
+                "range, the second not below the first",
             )
         return value[0], value[1]
 
@@ -657,9 +658,8 @@ class Settings:
         """
         value = self.numbers(key, 2)
         if value is not None and not low <= value[0] < value[1] <= high:
-            raise self._wrong(
-                key, f"two ascending numbers from {shortest(low)} to {shortest(high)}"
-            )
+            ends = f" from {shortest(low)} to {shortest(high)}" if math.isfinite(high - low) else ""
+            raise self._wrong(key, f"two ascending numbers{ends}")
         if value is None:
             return None
         return (value[0], value[1])

@@ -92,9 +92,8 @@ def develop(
     """Develop the picture of a frame, (h, w, 3) uint8 sRGB. ``exposure`` multiplies the light.
 
     ``background`` is dark, light, ``#rrggbb``, or transparent: then the picture is (h, w, 4), with
-    the share of each pixel that surfaces cover in its last channel. Pixels of glow alone are opaque
-    in a transparent picture, in front of BACKGROUND; if the scene has several surfaces, they are
-    not covered at all.
+    the share of each pixel that surfaces cover in its last channel, and of glow alone its brightest
+    channel.
 
     ``overlay`` is one of the view's OVERLAYS: ``provisional`` hatches pixels that are not final,
     broadly if they are provisional and finely if they converge; ``error`` colours pixels with light
@@ -113,7 +112,9 @@ def develop(
     if overlay == "error":
         picture = with_errors(frame, exposure, ground)
     else:
-        radiance = before_ground(frame.radiance, frame.airy, exposure, ground)
+        # Behind a transparent picture there is no ground.
+        behind = None if clear else frame.airy
+        radiance = before_ground(frame.radiance, behind, exposure, ground)
         picture = lit(radiance, frame.state, exposure, overlay == "provisional", ground)
     if left is not None and not clear:
         picture = seen_through(picture, left, ground)
@@ -123,6 +124,9 @@ def develop(
             cover = np.where(frame.state > 0, np.float32(1.0), np.float32(0.0))
         else:
             cover = 1.0 - left
+        if frame.airy is not None:
+            cover[frame.airy] = 0.0
+        cover = with_glow_cover(cover, frame.state > 0, linear_table()[picture])
         picture = np.dstack([bared(picture, cover), (255.0 * cover + 0.5).astype(np.uint8)])
     # Replace pixels at edges by the mean of their samples.
     if frame.edges and overlay == "none":
@@ -144,6 +148,15 @@ def seen_through(picture: np.ndarray, left: np.ndarray, ground: tuple[float, ...
     light = linear_table()[picture[some]] + left[some][:, None] * np.array(ground, np.float32)
     found[some] = coded(np.minimum(light, 1.0))
     return found
+
+
+def with_glow_cover(cover: np.ndarray, on: np.ndarray, shown: np.ndarray) -> np.ndarray:
+    """Return the ``cover`` (…) of pixels or samples, with that of glow before nothing: its
+    brightest channel, so that it is as bright over black, and hides little where it is dim.
+
+    ``on`` (…) are those that show anything, and ``shown`` (…, 3) is their linear light on a screen.
+    """
+    return np.where(on & (cover == 0.0), shown.max(axis=-1), cover)
 
 
 def bared(picture: np.ndarray, cover: np.ndarray) -> np.ndarray:
@@ -176,10 +189,10 @@ def averaged(
 
     If the picture is ``clear``, it is (k, 4), and the last channel is the mean cover of the
     samples, from 0 to 255. The colours are then those of the surfaces alone: the sum of the light
-    of the samples on them, over the sum of their covers. Glow alone counts as a surface in front of
-    the ``ground``.
+    of the samples on them, over the sum of their covers. A sample of glow alone covers as much as
+    its brightest channel.
     """
-    light = before_ground(edges.light, edges.airy, exposure, ground)
+    light = before_ground(edges.light, None if clear else edges.airy, exposure, ground)
     # Average after the tone curve, as a screen shows it: before it, one bright sample would hide
     # all others. All samples are developed as one picture, with those of a pixel in each row.
     shown = linear_table()[lit(light, edges.on.astype(np.uint8), exposure, False, ground)]
@@ -192,9 +205,10 @@ def averaged(
         return coded(shown.mean(axis=1))
     # The light of a sample has its cover as a factor already.
     sums = np.where(edges.on[..., None], shown, np.float32(0)).sum(axis=1)
-    cover = edges.cover.mean(axis=1)
-    light = sums / np.maximum(edges.cover.sum(axis=1), MIN_PIXEL_COVER)[:, None]
-    return np.column_stack([coded(np.minimum(light, 1.0)), (255.0 * cover + 0.5).astype(np.uint8)])
+    cover = with_glow_cover(edges.cover, edges.on, shown)
+    light = sums / np.maximum(cover.sum(axis=1), MIN_PIXEL_COVER)[:, None]
+    opacity = (255.0 * cover.mean(axis=1) + 0.5).astype(np.uint8)
+    return np.column_stack([coded(np.minimum(light, 1.0)), opacity])
 
 
 def coded(light: np.ndarray) -> np.ndarray:

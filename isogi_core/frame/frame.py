@@ -81,6 +81,8 @@ class EdgeSamples:
     @property
     def cover(self) -> np.ndarray:
         """The share of the background that each sample hides, from 0 to 1; (k, samples)."""
+        if self.airy is not None:
+            return self.on & ~self.airy
         if self.left is None:
             return self.on
         return np.where(self.on, np.float32(1.0) - self.left, np.float32(0.0))

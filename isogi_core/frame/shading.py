@@ -141,7 +141,7 @@ def shade_by_paths(shot: Shot) -> Framebuffer:
     samples = light.view.samples
     framebuffer = empty_framebuffer(gbuffer)
     replicas = replicas_for(samples)
-    samples_each = max(samples // replicas, 1)
+    samples_each = -(-samples // replicas)
     variance = np.empty(len(pixels))
 
     # Trace the paths pass by pass: sums of replicas take memory for the points of one pass alone.

@@ -342,7 +342,8 @@ class View:
     - ``camera``, ``light``: in the volume's box; ``light`` rotates the environment.
       ``orientation``: place of the box in the world.
     - ``width``, ``height``: pixels.
-    - ``shading``: one of VIEW_SHADINGS; ``samples``: paths per pixel, of ``path_traced`` alone.
+    - ``shading``: one of VIEW_SHADINGS; ``samples``: least paths per pixel, of ``path_traced``
+      alone.
     - ``albedo`` (linear RGB), ``shine``: of the surface; None for the scene's, see
       ``SceneSurfaces``.
     - ``glow``: brightness of glows over the scene's.

@@ -77,6 +77,8 @@ def build_scene(
         settings, whole = open_whole(settings, progress)
         colours = colours or colours_by_data(settings, whole)
         volume = cut_away(whole, cut) if cut else whole
+    else:
+        settings = renewed_start(settings, volume)
     if settings.flag("inside_out", False):
         volume = volume.inside_out
     scene = scene_around(volume, settings, colours, glow_bits)
@@ -229,6 +231,15 @@ def with_start(settings: Settings, whole: Volume) -> tuple[Settings, Start | Non
     return settings_with(settings, {**document, **changes}, True), start
 
 
+def renewed_start(settings: Settings, volume: Volume) -> Settings:
+    """Return the settings with another start if isogi chose one that lies outside of the values of
+    a ``volume``, else as they are: a start is chosen by whole volumes, and this one may be cut.
+    """
+    if without_start(settings, volume) is settings:
+        return settings
+    return with_start(settings, volume)[0]
+
+
 def without_start(settings: Settings, whole: Volume) -> Settings:
     """Return the settings without the start that ``with_start`` chose at an earlier opening, if it
     lies outside of the values of the ``whole`` volume; else the settings as they are.
@@ -244,7 +255,7 @@ def without_start(settings: Settings, whole: Volume) -> Settings:
     low, high = whole.value_range
     shown = source.document["isovalue"]
     signed = source.document.get("surfaces") == both_signs(shown)["surfaces"]
-    if low < shown < high and (not signed or low < -shown < high):
+    if low <= shown <= high and (not signed or low <= -shown <= high):
         return settings
     # Take out the keys that ``with_start`` has added.
     added = set(both_signs(shown)) if signed else {"isovalue"}

@@ -338,10 +338,8 @@ def adaptive_shares(
 
     A step from c is ε (gMin + k²) long, so the number of steps from one level to another is, but
     for the factor ε, their way ∫ dc / (gMin + k²), and equal steps are equal parts of it. Parts of
-    the range without a surface add nothing to the way. They are joined to the next part that has
-    one, over which its own way is then spread evenly: a level of that part may lie in the gap
-    before it, but none lies beyond the last part with a surface. About ``most`` cells are read, see
-    ``least_gradients``.
+    the range without a surface add nothing to the way, and no level lies in them. About ``most``
+    cells are read, see ``least_gradients``.
     """
     ends = [float(volume.normalise_isovalue(value)) for value in isovalues]
     if ends[0] == ends[1]:
@@ -355,14 +353,15 @@ def adaptive_shares(
     there = np.isfinite(gradients)
     if not there.any():
         return shares, 0.0
-    # Integrate the way. It has an inverse only while it grows: leave out the edge at the end of a
-    # part without a surface.
+    # Integrate the way. Parts without a surface take none: of a gap both ends are kept, where the
+    # way stands still, and of a gap at an end of the range the inner one.
     way = np.append(
         0.0, np.cumsum(np.where(there, 1.0 / (np.where(there, gradients, 0.0) + soft), 0.0))
     )
     edges = np.arange(RANGE_BINS + 1) / RANGE_BINS
-    onward = np.append(True, np.diff(way) > 0.0)
-    found = np.interp(shares, way[onward] / way[-1], edges[onward])
+    moves = np.diff(way) > 0.0
+    kept = np.append(moves, False) | np.append(False, moves)
+    found = np.interp(shares, way[kept] / way[-1], edges[kept])
     return found, float((gradients[there] < soft).mean())
 
 

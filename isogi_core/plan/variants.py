@@ -62,7 +62,9 @@ def remade(
     }
     known = (scene.surfaces.colours, scene.lighting.glowing.bits) if volume else (None, None)
     made = build_scene(replace(scene.source, document=bare), no_progress, volume, *known)
-    source = replace(scene.source, document=document)
+    # The document keeps the start that was chosen anew if the former one is outside of the values.
+    done = {key: value for key, value in document.items() if key not in bare}
+    source = replace(made.source, document={**done, **made.source.document})
     return replace(made, source=source, id=name or made.id, exposed_for=scene.seen, turn=scene.turn)
 
 

@@ -88,11 +88,16 @@ class SharedScenes:
         if owner not in self._files:
             # The file lies in memory, and exists as long as its descriptor is open.
             number = os.memfd_create("isogi", os.MFD_CLOEXEC)
-            weakref.finalize(owner, os.close, number)
             key = secrets.token_bytes(KEY_BYTES)
-            with open(number, "wb", closefd=False) as file:
-                file.write(key)
-                file.writelines(packed(content()))
+            try:
+                with open(number, "wb", closefd=False) as file:
+                    file.write(key)
+                    file.writelines(packed(content()))
+            except BaseException:
+                # The owner may live on, and be shared again.
+                os.close(number)
+                raise
+            weakref.finalize(owner, os.close, number)
             self._files[owner] = SharedFile(f"/proc/{os.getpid()}/fd/{number}", key)
         return self._files[owner]
 

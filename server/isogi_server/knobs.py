@@ -295,7 +295,7 @@ KNOB_GROUPS = {
         Knob(
             "samples",
             Span(1, 4096, whole=True),
-            "Paths per pixel, for path_traced only",
+            "Least paths per pixel, for path_traced only",
             16,
             own=_none,
         ),

@@ -1,5 +1,6 @@
 """First isovalues of fields whose histogram has no two classes: orbitals, densities, maps."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from isogi_core.files.scene_file import find_source
 from isogi_core.model.volume import make_volume
 from isogi_core.plan.assembly import build_scene, load_scene, otsu
 from isogi_core.plan.starts import Start, find_start
-from isogi_core.plan.variants import at_both_signs, smoothed_by
+from isogi_core.plan.variants import at_both_signs, cut_open, smoothed_by
 
 X, Y, Z = np.mgrid[-1:1:32j, -1:1:32j, -1:1:32j].transpose(0, 3, 2, 1)
 R = np.sqrt(X**2 + Y**2 + Z**2)
@@ -152,3 +153,25 @@ def test_a_start_gives_way_to_values_that_are_gone(tmp_path: Path) -> None:
     assert smooth.isovalues == scene.isovalues
     slight = smoothed_by(scene, 0.3, "slight")
     assert slight.source.document["surfaces"] == scene.source.document["surfaces"]
+
+
+@pytest.mark.parametrize(("sigma", "signs"), [(2.0, 1), (6.0, 0)])
+def test_a_smoothed_scene_is_built_by_its_document(
+    tmp_path: Path, sigma: float, signs: int
+) -> None:
+    """By other processes, and for its cuts: the document has the start of the smoothed values."""
+    lobes = np.where(R < 0.2, np.sign(X), 0.0) * (1.0 - 5.0 * R)
+    np.save(tmp_path / "p.npy", lobes.astype(np.float32))
+    scene = load_scene(tmp_path / "p.npy")
+    smooth = smoothed_by(scene, sigma, "smooth")
+    assert smooth.volume.value_range[1] < scene.isovalue
+    assert len(smooth.surfaces.pinned) == signs
+    received = {key: value for key, value in smooth.source.document.items() if key != "smooth"}
+    for again in (
+        build_scene(smooth.source),
+        build_scene(replace(smooth.source, document=received), volume=smooth.volume),
+        smoothed_by(scene, sigma, "smooth", smooth.volume),
+    ):
+        assert again.bake_digest == smooth.bake_digest
+    assert again.source == smooth.source
+    assert len(cut_open(smooth, "x<20", "cut").surfaces.pinned) == signs

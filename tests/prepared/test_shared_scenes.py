@@ -15,7 +15,7 @@ from isogi_core.bake.bake_spec import spec_for
 from isogi_core.errors import SharedMemoryError
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
-from isogi_core.prepared import prepared_scene
+from isogi_core.prepared import prepared_scene, shared_scenes
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.prepared.shared_scenes import SharedScenes, receive_scene
 
@@ -101,6 +101,18 @@ def test_another_file_of_the_same_number_is_not_taken(scene: Scene) -> None:
     wrong = replace(shared, volume=replace(shared.volume, key=bytes(16)))
     with pytest.raises(SharedMemoryError, match="another file"):
         receive_scene(wrong, MOST_BYTES)
+
+
+def test_a_share_that_fails_keeps_no_file(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    own = PreparedScene(scene)
+    shares = SharedScenes()
+    before = len(os.listdir("/proc/self/fd"))
+    with monkeypatch.context() as patch:
+        patch.setattr(shared_scenes, "ScenePickler", None)
+        for _ in range(3):
+            assert shares.share(own) is None
+    assert len(os.listdir("/proc/self/fd")) == before
+    assert shares.share(own) is not None
 
 
 def test_large_volumes_are_left_to_their_copies(

@@ -300,6 +300,22 @@ def test_time_left_follows_from_what_the_bake_took(bench: Bench) -> None:
     assert bench.baker.paths == 100
 
 
+def test_a_worker_that_leaves_has_done_no_work(bench: Bench) -> None:
+    """Estimates are compared with work that was done, and not with a change of its division."""
+    pool = bench.use_pool(1)
+    bench.request(*range(12))
+    for _ in range(10):
+        pool.end()
+    pool.end(left(2, 0.8, paths=120.0))
+    first = bench.baker.time_left("scene", "view", [(0, 0, 11)])
+    pool.workers = 1
+    bench.now += 10.0
+    then = bench.baker.time_left("scene", "view", [(0, 0, 11)])
+    assert first is not None and then is not None
+    assert then.low / then.likely == pytest.approx(first.low / first.likely)
+    assert then.high / then.likely == pytest.approx(first.high / first.likely)
+
+
 def test_time_left_is_unknown_without_a_number_of_workers() -> None:
     bench = Bench(workers=None)
     bench.costs.add((0, 0, 1), Cost(1.0, 100, 2, 0.5))

@@ -91,6 +91,15 @@ def test_a_worker_keeps_specs_of_several_scenes_open(tmp_path: Path) -> None:
     assert store_of(tmp_path / "0") is first
 
 
+def test_a_spec_that_was_prepared_is_that_of_tasks(tmp_path: Path) -> None:
+    """Whether or not a caller says that there are no assets."""
+    place = (SCENE.source, SPEC.plan, SPEC.digest, made(tmp_path))
+    first = open_spec(*place)
+    assert open_spec(*place, None) is first
+    assert open_spec(*place, None, None) is first
+    assert open_spec(*place, shown=None) is first
+
+
 def test_a_task_leaves_light_of_just_its_texels(tmp_path: Path) -> None:
     result = do(tmp_path, until=16)
     chunk = store_of(tmp_path).load(INDEX)

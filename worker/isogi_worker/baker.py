@@ -176,7 +176,8 @@ class Baker:
         self._done_tasks = self._done_chunks = self._failed_chunks = 0
         self._duplicate = self._healed = self._kept = 0
         self.paths = 0
-        self._seconds = 0.0
+        # Seconds of all workers together, each shared by as many as there were when it was done.
+        self._worked = 0.0
         # Time at which workers last began to leave cores free for a view that moves.
         self._way = -CLEAR_CORES_SECONDS
         self._pause = Pause(clock, self.dispatch)
@@ -225,9 +226,8 @@ class Baker:
         bake = self._bakes.get(scene or next(iter(self._bakes), ""))
         # The bake of a scene projects no texels, so that it has no isosurface ``shown`` to pass on.
         if pool is not None and bake is not None:
-            pool.prepare(
-                partial(open_spec, bake.source, bake.plan, bake.digest, bake.store_url, bake.assets)
-            )
+            place = (bake.source, bake.plan, bake.digest, bake.store_url)
+            pool.prepare(partial(open_spec, *place, bake.assets, bake.shown))
 
     def dispatch(self) -> None:
         """Hand out tasks if there is room. Call this if workers have come or can be reached again,
@@ -349,9 +349,7 @@ class Baker:
                 return None
             # Workers share the work, but a chunk is not divided among them.
             left = max(sum(seconds) / workers, *seconds, 0.0)
-            return self._estimator.estimate(subject, left, self._seconds / workers).times(
-                self._pace.value
-            )
+            return self._estimator.estimate(subject, left, self._worked).times(self._pace.value)
 
     def trouble(self) -> str:
         """Return the reason if requested light cannot be baked, else an empty string."""
@@ -576,7 +574,7 @@ class Baker:
             self._postpone(key)
         elif isinstance(outcome, BakeResult):
             self.paths += outcome.cost.paths
-            self._seconds += outcome.cost.seconds
+            self._worked += outcome.cost.seconds / self.workers
             self._pace.spent(outcome.cost.seconds)
             self._done_chunks += 1
             # A task that was sent no light has read the store, so the store is there. One that was

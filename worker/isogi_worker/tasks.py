@@ -364,7 +364,6 @@ def opened(source: SceneSource) -> PreparedScene:
     return prepared
 
 
-@lru_cache(maxsize=16)
 def open_spec(
     source: SceneSource,
     plan: ScenePlan,
@@ -377,6 +376,19 @@ def open_spec(
 
     Raises SceneError if the scene's files are not those of ``digest``.
     """
+    # The cache tells calls with and without arguments of the same values apart.
+    return _kept_spec(source, plan, digest, store_url, assets, shown)
+
+
+@lru_cache(maxsize=16)
+def _kept_spec(
+    source: SceneSource,
+    plan: ScenePlan,
+    digest: str,
+    store_url: StoreUrl,
+    assets: Assets | None,
+    shown: Isovalue | None,
+) -> tuple[BakeSpec, ChunkStore]:
     found = BakeSpec(prepared_scene(source, assets, store_url), plan, shown)
     # The files may have changed since this process opened them: read them once more.
     if found.digest != digest:

@@ -27,15 +27,16 @@ NO_VOLUMES = ("__MACOSX", "DICOMDIR", "Thumbs.db", "desktop.ini")
 
 
 class Archive:
-    """The files of a ZIP ``file``, which stays open, and is closed with this if that is its
-    ``owner``; ``name`` is for messages. They may unpack to as many bytes as ``voxels`` voxels take.
-    Raises VolumeError.
+    """The files of a ZIP ``file``, which stays open, and is closed with this if it was opened by
+    its ``path``; ``name`` is for messages. They may unpack to as many bytes as ``voxels`` voxels
+    take. Raises VolumeError.
     """
 
-    def __init__(self, file: IO[bytes], name: str, voxels: int, owner: bool = False) -> None:
+    def __init__(self, file: IO[bytes], name: str, voxels: int, path: Path | None = None) -> None:
         """Read its list of files alone."""
-        if owner:
+        if path is not None:
             weakref.finalize(self, file.close)
+        self.path = path
         self._name = name
         self._zip = zipfile.ZipFile(file)
         self._members = {

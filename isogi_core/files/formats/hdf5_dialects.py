@@ -270,14 +270,14 @@ def describe_imaris(source: Source, data: Any) -> Said | None:
     return said
 
 
-BDV_CELLS = re.compile(r"t(\d{5})/s(\d+)/(\d+)/cells")
+BDV_CELLS = re.compile(r"(t\d{5})/s(\d+)/(\d+)/cells")
 
 
 def choose_bdv(source: Source, whole: Any) -> Any:
     """Choose a step, a setup, as channel, and a level of BigDataViewer; the finest and first by
     default, and the only setup. Raises VolumeError.
     """
-    times = sorted(name for name in whole if re.fullmatch(r"t\d{5}", name))
+    times = _bdv_times(whole)
     if not times or "cells" not in str(list(_deep(whole[times[0]]))):
         return None
     step, _ = pick_step(source, len(times))
@@ -288,6 +288,11 @@ def choose_bdv(source: Source, whole: Any) -> Any:
     if level >= len(levels):
         raise VolumeError(f"'{source.name}' has levels 0 to {len(levels) - 1}, not {level}.")
     return levels[f"{level}/cells"]
+
+
+def _bdv_times(whole: Any) -> list[str]:
+    """Name the steps of BigDataViewer, in their order. Their numbers may leave some out."""
+    return sorted(name for name in whole if re.fullmatch(r"t\d{5}", name))
 
 
 def _deep(group: Any) -> list[str]:
@@ -308,15 +313,15 @@ def describe_bdv(source: Source, data: Any) -> Said | None:
         return None
     setup = found[2]
     whole = data.file
-    times = sum(re.fullmatch(r"t\d{5}", name) is not None for name in whole)
-    chosen = times == 1 or source.count("time") is not None or "part" in source.chosen
+    times = _bdv_times(whole)
+    chosen = len(times) == 1 or source.count("time") is not None or "part" in source.chosen
     # Each voxel of a coarser level is the mean of several fine ones along x, y, z.
     factors = np.ones(3)
     with suppress(KeyError, IndexError, ValueError):
         factors = np.asarray(whole[f"s{setup}/resolutions"][int(found[3])], float)
     said = Said(("z", "y", "x"), unsigned=data.dtype == np.int16, unchosen=not chosen)
-    if times > 1:
-        said = replace(said, moment=(int(found[1]), times))
+    if len(times) > 1:
+        said = replace(said, moment=(times.index(found[1]), len(times)))
     size, unit = _bdv_voxel(source.path, int(setup))
     if size is None:
         # The factors are of no use without the size of a fine voxel.

@@ -12,6 +12,7 @@ import numpy as np
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats.side_headers import (
+    MOST_HEADER_BYTES,
     Described,
     grid_of,
     keys_of,
@@ -66,9 +67,14 @@ def open_vff(source: Source) -> Grid:
     """
     # Each byte of the header is one character: the length of the text is the place of the voxels.
     text, end, _ = text_of(source).partition(VFF_END)
+    if not end:
+        raise VolumeError(
+            f"The VFF header of '{source.name}' does not end within {MOST_HEADER_BYTES} bytes: "
+            "export the scan again."
+        )
     keys = keys_of(text.replace(";", "\n"), "=")
     bits = int(numbers(source, keys, "bits", 1)[0])
-    if not end or keys.get("bands", "1") != "1" or bits not in VFF_TYPES or "compress" in text:
+    if keys.get("bands", "1") != "1" or bits not in VFF_TYPES or "compress" in text:
         raise VolumeError(
             f"'{source.name}' is VFF of {bits} bits, packed or of several bands: export it as "
             "DICOM or TIFF from the scanner's program."

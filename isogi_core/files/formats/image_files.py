@@ -37,7 +37,8 @@ def open_itk(source: Source) -> Grid:
     """Open an image as a grid: only its header is read now. Raises VolumeError."""
     if source.path is None:
         raise VolumeError(
-            f"'{source.name}' cannot be uploaded in this form: save it as NIfTI or NRRD."
+            f"'{source.name}' is read neither from an upload nor from a ZIP file: save it as NIfTI "
+            "or NRRD."
         )
     if not source.path.is_file():
         raise VolumeError(f"There is no file '{source.path}': check the volume's path.")

@@ -552,15 +552,11 @@ def number_of(header: Header, key: str) -> float | None:
 
 def _stamp(source: Source, files: list[Path]) -> str:
     """Return the state of the header and of its data files, and the choices."""
-    if source.path is not None:
-        paths = [source.path]
-    else:
-        paths = []
     if source.chosen:
         chosen = f" {sorted(source.chosen.items())}"
     else:
         chosen = ""
-    return f"{stamp_of([*paths, *(files or paths)])}{chosen}"
+    return f"{stamp_of([*source.stored, *(files or source.stored)])}{chosen}"
 
 
 def _slabs(source: Source) -> Iterator[np.ndarray]:

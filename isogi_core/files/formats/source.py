@@ -41,7 +41,8 @@ class Source:
     for messages.
 
     ``chosen`` says which part of it is meant, by FILE_CHOICES. At most so many ``voxels`` are read.
-    The files of an ``archive`` are read as those of a folder, or one of them, its ``member``.
+    The files of an ``archive`` are read as those of a folder, or one of them, its ``member``: these
+    have no path, as no library can open them by one.
     """
 
     name: str
@@ -67,6 +68,14 @@ class Source:
         assert self.path is not None, "a folder has a path"
         return sorted(path for path in self.path.iterdir() if path.is_file())
 
+    @property
+    def stored(self) -> list[Path]:
+        """The path of the file on the disk, that of the ZIP file for its members; none for an
+        upload.
+        """
+        path = self.archive.path if self.archive is not None else self.path
+        return [] if path is None else [path]
+
     def at(self, path: Path) -> "Source":
         """Return the file at one of its ``paths``."""
         if self.archive is not None:
@@ -74,16 +83,19 @@ class Source:
         return Source(str(path), path)
 
     def unpacked_archive(self) -> "Source":
-        """Return this ZIP file as a folder of its members. Raises VolumeError."""
+        """Return this ZIP file as a folder of its members. Raises VolumeError, also if it is a
+        member of another one.
+        """
+        if self.member is not None:
+            raise VolumeError(f"'{self.name}' is a ZIP file in another one: unpack that one.")
         if self.path is None:
             assert self.file is not None, "a source has a path or a file"
             file = self.file
         else:
             file = open_regular(self.path)
         with reading(self.name, "ZIP"):
-            return replace(
-                self, archive=Archive(file, self.name, self.voxels, owner=self.path is not None)
-            )
+            archive = Archive(file, self.name, self.voxels, self.path)
+        return replace(self, path=None, file=file, archive=archive)
 
     @contextmanager
     def open(self) -> Iterator[IO[bytes]]:
@@ -129,11 +141,7 @@ class Source:
         """Return a name of the state of the file, of ``others`` that belong to it, and of the
         choices; see ``Grid``.
         """
-        if self.path is not None:
-            files = [self.path]
-        else:
-            files = []
-        return f"{stamp_of([*files, *others])} {sorted(self.chosen.items())}"
+        return f"{stamp_of([*self.stored, *others])} {sorted(self.chosen.items())}"
 
     def refuse_others(self, *keys: str) -> None:
         """Raise VolumeError if something is chosen that this kind of file does not offer: all but

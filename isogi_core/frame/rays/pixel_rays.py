@@ -179,7 +179,8 @@ def variance_of_mean(means: np.ndarray) -> np.ndarray:
 
 
 def replicas_for(samples: int) -> int:
-    """Return the number of replicas of a frame of ``samples`` paths per pixel.
+    """Return the number of replicas of a frame of ``samples`` paths per pixel, or of a few more so
+    that all are alike.
 
     More replicas estimate the error better, and make it larger, since each is a shorter sequence:
     at 256 paths eight have 1.1 times the error of four (engine under uffizi and grace, CT head

@@ -296,14 +296,14 @@ class WallView:
         return WallTable(np.concatenate(light), firsts, rows, columns, states)
 
     def put_paths(self, target: float, framebuffer: Framebuffer, tiles: Tiles) -> None:
-        """Path-trace the walls in a picture, with as many paths from each pixel as the view
-        asks for. Raises Cancelled.
+        """Path-trace the walls in a picture, with at least as many paths from each pixel as the
+        view asks for. Raises Cancelled.
         """
         walls = self.gbuffer.walls
         plan = self.light.spec.prepared.scene.plan
         samples = self.light.view.samples
         replicas = replicas_for(samples)
-        count = max(samples // replicas, 1)
+        count = -(-samples // replicas)
         room = self.light.spec.prepared.room(self.light.seen.albedo)
         rules = PathRules(path_weights(np.ones(3), plan.bounces, 1.0), plan.survival)
         variance = np.empty(len(walls.pixels))

@@ -5,6 +5,7 @@ completed before the end.
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
@@ -18,6 +19,8 @@ from isogi_server.errors import BusyError, StartingError
 from isogi_server.problems import problem
 from isogi_server.render.engine import RenderEngine
 from isogi_server.render.viewers import run_until
+
+log = logging.getLogger("isogi.server")
 
 LATE = 1.0
 """Seconds that a route has to answer once it was told that its client left; then it is answered
@@ -251,8 +254,8 @@ class Startup:
         self.lit.set()
 
     async def _compile(self, survey: Callable[[Scene], None]) -> None:
-        """Compile and load kernels of light unless ``run`` did so, then ``survey`` scenes, then
-        compile the kernels that scenes do not need by default. An error is kept as ``failure``.
+        """Compile kernels of light, ``survey`` scenes, then compile the kernels that scenes do
+        not need by default; nothing of this after a failure.
         """
         try:
             if not (self.failure or self.lit.is_set()):
@@ -262,7 +265,8 @@ class Startup:
                 if self._closing:
                     break
                 await asyncio.to_thread(survey, scene)
-            await asyncio.to_thread(self._engine.kernels.others)
+            if not self.failure:
+                await self._compile_others()
         except Exception as error:
             self.failure = error
         finally:
@@ -270,6 +274,15 @@ class Startup:
             # error.
             self.lit.set()
             self._all.set()
+
+    async def _compile_others(self) -> None:
+        """Compile the kernels that scenes do not need by default. If that fails, all other pictures
+        can be drawn.
+        """
+        try:
+            await asyncio.to_thread(self._engine.kernels.others)
+        except Exception:
+            log.exception("Kernels that few pictures need could not be compiled.")
 
 
 async def within(seconds: float, event: asyncio.Event) -> None:

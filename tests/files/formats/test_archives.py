@@ -1,6 +1,7 @@
 """Archives: a ZIP file of slices, of a header with its data, or of one volume."""
 
 import io
+import os
 import zipfile
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from isogi_core.files.formats import archive
 from isogi_core.files.formats.opening import libraries_for, open_file, open_upload
 from isogi_core.files.grid import on_right_angles
 from tests.files.formats.dicom_files import write_series
+from tests.files.formats.every_kind import written
 from tests.files.formats.phantom import affine, letter
 
 LPS = np.diag([-1.0, -1.0, 1.0, 1.0]) @ affine()
@@ -62,6 +64,51 @@ def test_slices_of_tiff_are_one_volume() -> None:
         tifffile.imwrite(content, layer)
         files[f"slice{number}.tif"] = content.getvalue()
     np.testing.assert_array_equal(uploaded(packed(files)), F)
+
+
+def test_a_zip_on_the_disk_opens_as_an_upload(tmp_path: Path) -> None:
+    """No reader opens the ZIP itself in place of the file in it, and its state is the ZIP's."""
+    for path in written(tmp_path / "files"):
+        if path.suffix == ".npz":
+            continue
+        whole = tmp_path / "a.zip"
+        whole.write_bytes(packed({path.name: path.read_bytes()}))
+        grid = on_right_angles(open_file(whole, {}))
+        np.testing.assert_array_equal(grid.whole(), uploaded(whole.read_bytes()), path.name)
+        alone = on_right_angles(open_file(path, {}))
+        np.testing.assert_array_equal(grid.whole(), alone.whole(), path.name)
+        assert (grid.spacing, grid.affine) == (alone.spacing, alone.affine), path.name
+        former = grid.stamp()
+        os.utime(whole, (0, 0))
+        assert grid.stamp() != former, path.name
+
+
+def test_a_header_in_a_zip_on_the_disk(tmp_path: Path) -> None:
+    whole = tmp_path / "a.zip"
+    whole.write_bytes(packed({"a.nhdr": LOST, "a.raw": VOXELS}))
+    grid = open_file(whole, {})
+    assert grid.whole().tobytes() == VOXELS
+    former = grid.stamp()
+    whole.write_bytes(packed({"a.nhdr": LOST, "a.raw": VOXELS, "b.txt": b"more"}))
+    assert grid.stamp() != former
+
+
+def test_a_zip_in_a_zip_is_refused(tmp_path: Path) -> None:
+    nested = packed({"b.zip": packed({"a.nhdr": LOST, "a.raw": VOXELS})})
+    (tmp_path / "a.zip").write_bytes(nested)
+    for read in (lambda: uploaded(nested), lambda: open_file(tmp_path / "a.zip", {})):
+        with pytest.raises(VolumeError, match=r"'b.zip' is a ZIP file in another one: unpack"):
+            read()
+
+
+def test_a_pair_in_a_zip_on_the_disk_is_refused(tmp_path: Path) -> None:
+    """Its voxels are not looked for next to the ZIP."""
+    nib = pytest.importorskip("nibabel")
+    nib.save(nib.Nifti1Pair(F.T, affine()), tmp_path / "f.img")
+    header = (tmp_path / "f.hdr").read_bytes()
+    (tmp_path / "f.zip").write_bytes(packed({"f.hdr": header}))
+    with pytest.raises(VolumeError, match=r"header whose voxels are in another file"):
+        open_file(tmp_path / "f.zip", {})
 
 
 @pytest.mark.parametrize("folder", ["", "data/"])

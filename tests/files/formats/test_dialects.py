@@ -182,6 +182,16 @@ def test_numbers_of_bigdataviewer_have_no_sign(tmp_path: Path) -> None:
         opened(tmp_path / "f.xml")
 
 
+def test_steps_of_bigdataviewer_count_from_zero(tmp_path: Path) -> None:
+    """The numbers of steps may begin later, and leave some out."""
+    with h5py.File(tmp_path / "f.h5", "w") as file:
+        for number in (3, 5, 9):
+            file[f"t{number:05}/s00/0/cells"] = np.full_like(F, number)
+    for time, number in enumerate((3, 5, 9)):
+        grid = opened(tmp_path / "f.h5", time=time)
+        assert grid.moment == (time, 3) and grid.whole().max() == number
+
+
 def test_axistags_name_the_axes(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "f.h5", "w") as file:
         data = file.create_dataset("exported_data", data=np.stack([F, 1 - F], -1))

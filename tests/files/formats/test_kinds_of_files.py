@@ -215,6 +215,12 @@ def test_voxels_after_a_header(tmp_path: Path, write: Any) -> None:
         open_file(tmp_path / "f.bin", {}).whole()
 
 
+def test_a_header_without_an_end_is_no_packed_file() -> None:
+    for content in (vff()[:60], vff().replace(b"\x0c\n", b" " * (1 << 16) + b"\x0c\n")):
+        with pytest.raises(VolumeError, match=r"header of 'f.vff' does not end within 65536 bytes"):
+            open_upload(io.BytesIO(content), "f.vff", 1 << 20)
+
+
 def test_a_header_of_several_is_to_be_chosen(tmp_path: Path) -> None:
     for name in ("a.mhd", "b.mhd"):
         (tmp_path / name).write_text(META.format(msb=False, data="f.raw"))

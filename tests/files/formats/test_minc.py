@@ -1,5 +1,6 @@
 """MINC: slices of slopes of their own, in the world of a patient, in time, of both versions."""
 
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -52,9 +53,17 @@ def write(path: Path, order: str = "zspace,yspace,xspace", stored: np.ndarray = 
 
 
 def test_slices_have_slopes_of_their_own(tmp_path: Path) -> None:
+    """From the file, an upload, and a ZIP file."""
     path = write(tmp_path / "a.mnc")
+    whole = tmp_path / "a.zip"
+    with zipfile.ZipFile(whole, "w") as made:
+        made.write(path, path.name)
     with path.open("rb") as file:
-        for grid in (open_file(path, {}), open_upload(file, "a.mnc", 1 << 16)):
+        for grid in (
+            open_file(path, {}),
+            open_upload(file, "a.mnc", 1 << 16),
+            open_file(whole, {}),
+        ):
             np.testing.assert_allclose(grid.whole(), VALUES, rtol=1e-6)
             assert (grid.spacing, grid.unit, grid.dtype) == ((1.5, 2.0, 3.0), "mm", np.float32)
             assert (

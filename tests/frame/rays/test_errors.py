@@ -155,6 +155,22 @@ def test_more_samples_make_more_replicas(samples: int, replicas: int) -> None:
     assert replicas_for(samples) == replicas
 
 
+def test_no_fewer_paths_are_traced_than_asked_for(
+    workbench: Callable[[Scene], Workbench], tmp_path: Path
+) -> None:
+    """Of surface and walls: two replicas of 3 paths stand for 5, and not for 7."""
+    room = {"room": "cornell", "albedo": [0.6, 0.5, 0.4]}
+    bench = workbench(scene_of(ball(), 0.0, lights=[half_sky(tmp_path)], bounces=1, **room))
+    five, six, seven = (
+        bench.renderer.render(bench.view(size=16, shading="path_traced", samples=samples))
+        for samples in (5, 6, 7)
+    )
+    np.testing.assert_array_equal(five.radiance, six.radiance)
+    for pixels in (seven.gbuffer.pixels, seven.gbuffer.walls.pixels):
+        changed = seven.radiance.reshape(-1, 3)[pixels] != six.radiance.reshape(-1, 3)[pixels]
+        assert changed.any(axis=1).mean() > 0.5
+
+
 # --- tails
 # --------------------------------------------------------------------------------------------------
 

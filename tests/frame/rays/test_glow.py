@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from isogi_core.frame.film import develop
+from isogi_core.frame.film import develop, linear_table
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import FINAL
@@ -221,3 +221,22 @@ def test_what_glows_hides_no_background(tmp_path: Path) -> None:
     assert rim.any() and not rim.all()
     assert (stairs >= ground - 1).all() and (stairs > ground).mean() > 0.5
     assert (smooth[~rim] >= ground - 1).all() and (smooth[rim] >= ground - 1).mean() > 0.5
+
+
+@pytest.mark.parametrize("clear", [None, 0.5])
+def test_transparent_glow_is_as_bright_over_black(clear: float | None, tmp_path: Path) -> None:
+    """Beside one surface and beside several, at edges too: as opaque as its brightest channel."""
+    surfaces = [] if clear is None else [{"isovalue": 0.012, "clear": clear}]
+    scene = orbital_of(lights=[DARK], bounces=0, **({"surfaces": surfaces} if surfaces else {}))
+    bench = Workbench(scene, tmp_path)
+    frame = bench.renderer.render(bench.view(51.0, 0.0, 4 * SIZE, shading="lambert", smooth=True))
+    assert frame.airy is not None and frame.airy.sum() > 50 and frame.edges is not None
+    table = linear_table()
+    for each in (frame, replace(frame, edges=None)):
+        picture = develop(each, 1.0, background="transparent")[frame.airy]
+        black = table[develop(each, 1.0, background="#000000")[frame.airy]]
+        colour, opacity = table[picture[:, :3]], picture[:, 3:] / 255.0
+        np.testing.assert_allclose(colour * opacity, black, atol=0.01)
+    # Of glow alone, without samples at edges, the opacity is no more than that takes.
+    np.testing.assert_allclose(opacity[:, 0], black.max(axis=1), atol=0.005)
+    assert 0.0 < np.median(opacity) < 1.0

@@ -230,7 +230,7 @@ MISTAKES = [
         SceneError,
         "one of viridis, magma, cividis, coolwarm, grey",
     ),
-    ({}, 'file = "c.nrrd"\nrange = [9, 3]', SceneError, "two ascending numbers"),
+    ({}, 'file = "c.nrrd"\nrange = [9, 3]', SceneError, r"two ascending numbers\.$"),
     ({}, 'file = "c.nrrd"\ncolours = [[1, 0, 0]]', SceneError, "is not a list of 2 to 255 albedos"),
     (
         {},

@@ -814,6 +814,26 @@ async def test_what_visitors_ask_for_is_surveyed_once_there_is_light(
     assert did == ["open", "prepare", "light", "a scene", "another", "others"]
 
 
+async def test_a_start_that_failed_compiles_nothing_more(startup: Startup, did: list[str]) -> None:
+    def prepare() -> None:
+        raise OSError("no room")
+
+    await startup.run(prepare, did.append)  # type: ignore[arg-type]
+    await startup.others("phong", 5.0)
+    assert startup.lit.is_set() and not startup.open
+    assert did == ["open"]
+
+
+async def test_pictures_are_drawn_though_rare_kernels_fail(
+    startup: Startup, caplog: pytest.LogCaptureFixture
+) -> None:
+    startup._engine.kernels.others = lambda: 1 // 0  # type: ignore[method-assign,assignment]
+    await startup.run(lambda: None, lambda _: None)
+    await startup.others("phong", 5.0)
+    assert startup.open and startup.lit.is_set()
+    assert "few pictures need" in caplog.text
+
+
 async def test_scenes_are_not_surveyed_once_it_is_to_stop(startup: Startup, did: list[str]) -> None:
     """A server of many scenes would stop late."""
     surveyed = asyncio.Event()
