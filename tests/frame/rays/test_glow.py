@@ -232,11 +232,12 @@ def test_transparent_glow_is_as_bright_over_black(clear: float | None, tmp_path:
     frame = bench.renderer.render(bench.view(51.0, 0.0, 4 * SIZE, shading="lambert", smooth=True))
     assert frame.airy is not None and frame.airy.sum() > 50 and frame.edges is not None
     table = linear_table()
-    for each in (frame, replace(frame, edges=None)):
+    # At edges, codes of 8 bits are rounded and cut off sample by sample.
+    for each, rounded in ((frame, 0.05), (replace(frame, edges=None), 0.01)):
         picture = develop(each, 1.0, background="transparent")[frame.airy]
         black = table[develop(each, 1.0, background="#000000")[frame.airy]]
         colour, opacity = table[picture[:, :3]], picture[:, 3:] / 255.0
-        np.testing.assert_allclose(colour * opacity, black, atol=0.01)
+        np.testing.assert_allclose(colour * opacity, black, atol=rounded)
     # Of glow alone, without samples at edges, the opacity is no more than that takes.
     np.testing.assert_allclose(opacity[:, 0], black.max(axis=1), atol=0.005)
     assert 0.0 < np.median(opacity) < 1.0
