@@ -240,4 +240,4 @@ def test_transparent_glow_is_as_bright_over_black(clear: float | None, tmp_path:
         np.testing.assert_allclose(colour * opacity, black, atol=rounded)
     # Of glow alone, without samples at edges, the opacity is no more than that takes.
     np.testing.assert_allclose(opacity[:, 0], black.max(axis=1), atol=0.005)
-    assert 0.0 < np.median(opacity) < 1.0
+    assert 0.0 < opacity.min() < 1.0
