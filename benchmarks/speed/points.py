@@ -31,7 +31,7 @@ from benchmarks.speed.paths import view_texels
 from isogi_core.bake.bake_spec import spec_for
 from isogi_core.bake.refine import Place, locate, sample_irradiance, sample_transfer
 from isogi_core.frame.lighting import RotatedLight
-from isogi_core.frame.rays.pixel_rays import Paths, replicas_for
+from isogi_core.frame.rays.pixel_rays import Paths, split_into_replicas
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.transport import streams
@@ -160,10 +160,10 @@ def measure(what: Surfels, most: int) -> list[Point]:
 def both(what: Surfels, samples: int, true: np.ndarray) -> Point:
     """Errors and seconds of both kinds of points."""
     if isinstance(what, Pixels):
-        replicas = replicas_for(samples)
+        replicas, each = split_into_replicas(samples)
     else:
-        replicas = 2
-    light, seconds = timed(lambda: what.light(0, replicas, samples // replicas).mean(axis=1))
+        replicas, each = 2, samples // 2
+    light, seconds = timed(lambda: what.light(0, replicas, each).mean(axis=1))
     other, random_seconds = timed(lambda: random(what, samples))
     return Point(samples, error(light, true), seconds, error(other, true), random_seconds)
 

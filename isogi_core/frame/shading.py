@@ -17,7 +17,7 @@ from isogi_core.frame.rays.pixel_rays import (
     Paths,
     passes,
     pooled_variance,
-    replicas_for,
+    split_into_replicas,
     variance_of_mean,
 )
 from isogi_core.frame.shot import Shot
@@ -130,9 +130,8 @@ def shade_by_paths(shot: Shot) -> Framebuffer:
     """Path-trace a picture, as a reference; estimate the error of each pixel from replicas, and
     mark pixels as final if it is within that of the goal. Raises Cancelled.
 
-    Each replica takes an equal part of the samples of the view, rounded down, but one at least. So
-    a pixel sends as many paths as the view has samples if the replicas divide them, else fewer;
-    for one sample it sends two.
+    Each replica takes an equal part of the samples of the view, rounded up. So a pixel sends as
+    many paths as the view has samples if the replicas divide them, else a few more.
     """
     gbuffer = shot.gbuffer
     light = shot.light
@@ -140,8 +139,7 @@ def shade_by_paths(shot: Shot) -> Framebuffer:
     pixels = gbuffer.pixels
     samples = light.view.samples
     framebuffer = empty_framebuffer(gbuffer)
-    replicas = replicas_for(samples)
-    samples_each = -(-samples // replicas)
+    replicas, samples_each = split_into_replicas(samples)
     variance = np.empty(len(pixels))
 
     # Trace the paths pass by pass: sums of replicas take memory for the points of one pass alone.

@@ -81,8 +81,8 @@ class SurfaceRenderer:
     """Draws and refines pictures of the surface of one scene, and of its walls. Safe to use from
     many threads.
 
-    ``picture`` draws a view of them alone. Who shows more surfaces makes shots of their sides, and
-    has each drawn by a renderer of its own. Results of steps are ``kept``: see ``Renderer``.
+    ``picture`` draws a view of them alone. If a scene shows several surfaces, each of their sides
+    is a shot that a renderer of its own draws. Results of steps are ``kept``: see ``Renderer``.
     """
 
     def __init__(

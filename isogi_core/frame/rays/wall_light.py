@@ -21,7 +21,12 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.picture_plan import Prices
-from isogi_core.frame.rays.pixel_rays import passes, pooled_variance, replicas_for, variance_of_mean
+from isogi_core.frame.rays.pixel_rays import (
+    passes,
+    pooled_variance,
+    split_into_replicas,
+    variance_of_mean,
+)
 from isogi_core.frame.rays.wall_texels import (
     COARSE_WALL_TEXELS,
     FINE_WALL_TEXELS,
@@ -302,8 +307,7 @@ class WallView:
         walls = self.gbuffer.walls
         plan = self.light.spec.prepared.scene.plan
         samples = self.light.view.samples
-        replicas = replicas_for(samples)
-        count = -(-samples // replicas)
+        replicas, count = split_into_replicas(samples)
         room = self.light.spec.prepared.room(self.light.seen.albedo)
         rules = PathRules(path_weights(np.ones(3), plan.bounces, 1.0), plan.survival)
         variance = np.empty(len(walls.pixels))

@@ -15,7 +15,7 @@ from isogi_core.files.radiance import write_hdr
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.rays import pixel_rays
 from isogi_core.frame.rays.control_pixels import ControlPixels, TotalError, chances, measure_total
-from isogi_core.frame.rays.pixel_rays import pooled_variance, replicas_for, variance_of_mean
+from isogi_core.frame.rays.pixel_rays import pooled_variance, split_into_replicas, variance_of_mean
 from isogi_core.frame.rays.tail_error import (
     BORDERS,
     TailError,
@@ -149,10 +149,11 @@ def test_a_ball_under_constant_light_has_its_albedo_and_no_error(
 
 
 @pytest.mark.parametrize(
-    ("samples", "replicas"), [(1, 2), (7, 2), (8, 4), (255, 4), (256, 8), (4096, 8)]
+    ("samples", "replicas", "each"),
+    [(1, 2, 1), (7, 2, 4), (8, 4, 2), (255, 4, 64), (256, 8, 32), (4096, 8, 512)],
 )
-def test_more_samples_make_more_replicas(samples: int, replicas: int) -> None:
-    assert replicas_for(samples) == replicas
+def test_more_samples_make_more_replicas(samples: int, replicas: int, each: int) -> None:
+    assert split_into_replicas(samples) == (replicas, each)
 
 
 def test_no_fewer_paths_are_traced_than_asked_for(
