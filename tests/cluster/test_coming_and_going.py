@@ -33,6 +33,7 @@ from tests.server.inline import InlinePool, chunks_in, view_of
 
 
 @pytest.mark.cluster
+@pytest.mark.long
 def test_scheduler_workers_and_servers_come_and_go(small_scene: Path, tmp_path: Path) -> None:
     """And no port of theirs lets another user in."""
     with Cluster() as running:

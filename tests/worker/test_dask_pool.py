@@ -74,6 +74,7 @@ def test_joined_workers_have_loaded_kernels_and_stay_as_nice(
     assert kernels == [dict.fromkeys(named(BAKE), False)]
 
 
+@pytest.mark.long
 def test_tasks_whose_end_dask_does_not_report_are_noticed(
     cluster: LocalCluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -169,6 +170,7 @@ def of_a_pool(client: str) -> bool:
     return client.startswith("OwnClient-")
 
 
+@pytest.mark.long
 def test_a_scheduler_that_was_restarted_unnoticed_is_joined_anew(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

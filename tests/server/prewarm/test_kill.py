@@ -103,7 +103,7 @@ def whole(
 
 
 @pytest.mark.kill
-@pytest.mark.parametrize("reached", [has_begun, has_climbed])
+@pytest.mark.parametrize("reached", [has_begun, pytest.param(has_climbed, marks=pytest.mark.long)])
 def test_a_prewarm_that_is_killed_goes_on(
     scene: Path,
     whole: tuple[Path, Summary],

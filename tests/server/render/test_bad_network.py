@@ -137,6 +137,7 @@ def calling() -> list[str]:
 
 
 @pytest.mark.kill
+@pytest.mark.long
 def test_a_prewarm_that_is_killed_on_a_bad_network_is_mended(
     small_scene: Path,
     standard_s3: str,

@@ -178,11 +178,9 @@ WRONG = {
 """What a driver may draw wrongly: the text of a shader, and what replaces it."""
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("server", ["plain"], indirect=True)
-@pytest.mark.parametrize(
-    ("shading", "wrong"),
-    [("gi", "light"), pytest.param("lambert_fog", "local models", marks=pytest.mark.long)],
-)
+@pytest.mark.parametrize(("shading", "wrong"), [("gi", "light"), ("lambert_fog", "local models")])
 def test_the_page_says_that_its_card_draws_wrongly(
     browser: Browser, server: str, shading: str, wrong: str
 ) -> None:

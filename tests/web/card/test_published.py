@@ -163,7 +163,7 @@ def test_the_page_shows_isogis_picture(page: Page, site: Site, first: np.ndarray
     ("knob", "value"),
     [
         ("isovalue", 0.014),
-        ("azimuth", 100.0),
+        pytest.param("azimuth", 100.0, marks=pytest.mark.long),
         pytest.param("yaw", 120.0, marks=pytest.mark.long),
         pytest.param("pitch", -40.0, marks=pytest.mark.long),
     ],
