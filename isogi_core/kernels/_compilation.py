@@ -50,18 +50,20 @@ class Compilation:
         """List the kernels of the ``stages``, and their callees, that are not stored;
         compile nothing yet.
         """
-        listed: dict[Entry, None] = {}
+        asked: dict[Entry, None] = {}
         for stage in stages:
-            listed |= dict.fromkeys(in_order(with_callees(stage), listed))
-        self._lacking = [each for each in listed if not each.stored]
+            asked |= dict.fromkeys(in_order(with_callees(stage), asked))
+        self._lacking = [each for each in asked if not each.stored]
         self._begun = time.monotonic()
         self._work: threading.Thread | None = None
 
     def begin(self, stopped: threading.Event, niceness: int = 0, start: str = "spawn") -> None:
-        """Start to compile all listed kernels in other processes, until ``stopped`` is set.
+        """Start to compile the kernels that the constructor found missing, in up to one process per
+        core, until ``stopped`` is set; return at once.
 
-        Their niceness is higher than that of this process by ``niceness``; ``start`` is the start
-        method of multiprocessing.
+        If one process would be enough, none is started, and each kernel is compiled when it is
+        first loaded. The niceness of the processes is higher than that of this one by ``niceness``;
+        ``start`` is the start method of multiprocessing.
         """
         names = [each.name for each in self._lacking]
         self._begun = time.monotonic()

@@ -110,7 +110,10 @@ class Entry:
         return sum(len(each.__code__.co_code) for each in self.parts if not isinstance(each, Entry))
 
     def offer(self) -> None:
-        """Compile the kernel, unless it is stored already or another process compiles it."""
+        """Compile the kernel, unless it is stored already or another process compiles it.
+
+        Its callees are loaded first; if another process compiles one of them, wait for that.
+        """
         if self.stored:
             return
         load(self.callees)

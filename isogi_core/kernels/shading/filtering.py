@@ -361,12 +361,12 @@ def take_filtered(records, noisy, grade, lit, graded, filtered):
 
 @kernel(types.void(CORNER_ROWS, GRADE_ARRAY, TEXEL_RECORDS, GRADE_ARRAY, TEXEL_RECORDS))
 def lend_texels(corners, grade, lit, graded, lent):
-    """Give each texel without light the mean light of the lit texels in a cell around it; the last
-    such cell counts.
+    """Give each texel without light the mean light of the lit texels in a cell around it.
 
-    ``corners`` (cells, 8) number the texels of each cell; ``grade`` (texels,) and ``lit`` (texels,
-    values) are read. ``graded`` and ``lent`` start as copies of these; texels that get light become
-    CONVERGING there.
+    ``corners`` (cells, 8) number the texels of each cell, one cell for each point of the view; if
+    several cells of a texel have lit corners, the last one counts. ``grade`` (texels,) and ``lit``
+    (texels, values) are read. ``graded`` and ``lent`` start as copies of these; texels that get
+    light become CONVERGING there.
     """
     mean = np.empty(lit.shape[1], np.float32)
     for cell in corners:

@@ -264,8 +264,8 @@ def carry_ratios(lattice, points, corners, texels, unshadowed, unit, framebuffer
     ``framebuffer`` at the pixels of ``SurfacePoints``, as irradiance ratios.
 
     ``corners`` (m, 8) are the numbers of each point's texels; for their weights see
-    ``blend_records``. Light is counted in ``unit``, the radiance of 1. The state of a point is the
-    least of its texels', and its error is 1 while that is provisional.
+    ``blend_records``. ``unit`` is the radiance that a light of 1 stands for. The state of a point
+    is the least of its texels', and its error is 1 while that is provisional.
     """
     normals = points.normals
     for m in range(points.pixels.shape[0]):

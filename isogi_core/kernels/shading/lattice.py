@@ -335,7 +335,7 @@ def carry_light(lattice, points, corners, grade, lit, sky, unit, framebuffer):
 
     Interpolation is trilinear (S1, section 4.2) over the texels ``corners`` (m, 8) of each point
     that hold light. Void and buried texels are left out; unshadowed light about the point's normal
-    stands in for those that are not baked. Light is counted in ``unit``, the radiance of 1.
+    stands in for those that are not baked. ``unit`` is the radiance that a light of 1 stands for.
     ``grade`` (texels,) is UNBAKED_GRADE, PARTIAL_GRADE, CONVERGING, FINAL, BURIED_GRADE or
     VOID_GRADE; the state of a point is the least of its texels', and its error is 1 while that is
     provisional.

@@ -159,8 +159,7 @@ def mirrored(lobe, v, l):
 @kernel(inline=True)
 def judge_way(lobe, lights, p, v, l, w):
     """Return the weight f cosθ of light along the world direction ``w`` (locally ``l``), that light
-    without occlusion, the expected product of both, and the product over the density of
-    ``draw_way``.
+    without occlusion, the target t of ``choose_way``, and t over the density p of ``draw_way``.
 
     Weight and light are linear RGB, the others numbers; all are zero below the surface.
     """
@@ -170,46 +169,47 @@ def judge_way(lobe, lights, p, v, l, w):
     to_lights = share_to_lights(lobe, lights)
     light, density = expect_along(lights, p, w)
     # A ray that ends on a surface is expected to bring the ambient light.
-    hope = dot(share, light) + lights.ambient * (share[0] + share[1] + share[2])
+    target = dot(share, light) + lights.ambient * (share[0] + share[1] + share[2])
     # Density of the mixture of both techniques.
     drawn = (1.0 - to_lights) * reflected_pdf(lobe.alpha, v, l) + to_lights * density
-    return share, light, hope, hope / max(drawn, SMALLEST_NORMAL)
+    return share, light, target, target / max(drawn, SMALLEST_NORMAL)
 
 
 @kernel(inline=True)
 def choose_way(lobe, lights, p, n, v, seed, sample):
-    """Choose the direction of a ray from the world point ``p``; return it with the weight of light
-    from there, and that light without occlusion.
+    """Choose the direction of a ray from the world point ``p``; return the direction (a unit vector
+    of the world), the weight by which light from there counts, and the light that would come from
+    there without occlusion, both linear RGB.
 
     Of ``lights.ways`` candidates x with densities p(x), one is chosen with a probability in
-    proportion to t(x)/p(x), t being the expected product of ``judge_way``. Its weight is f cosθ/t
-    times the mean of all t/p (Talbot et al. 2005).
+    proportion to t(x)/p(x), t being the product of weight f cosθ and expected light, summed over
+    the channels. Its weight is f cosθ/t times the mean of all t/p (Talbot et al. 2005).
     """
     # Draw one candidate after the other, and keep the chosen one (reservoir sampling).
     if lights.ways > 1:
         chance = point_2d(seed, sample, SHINE_CHOICE)[0]
     else:
         chance = 0.0
-    total = 0.0
-    expected = 1.0
+    sum_of_ratios = 0.0
+    target = 1.0
     chosen = n
     colour = NO_LIGHT
     bright = NO_LIGHT
     for j in range(lights.ways):
         w = draw_way(lobe, lights, p, n, v, seed, sample * lights.ways + j)
-        share, light, hope, part = judge_way(lobe, lights, p, v, to_local(n, w), w)
-        total += part
-        # Replace the choice with probability part / total; rescale the random number for reuse.
-        taken = part / total if total > 0.0 else 0.0
+        share, light, t, ratio = judge_way(lobe, lights, p, v, to_local(n, w), w)
+        sum_of_ratios += ratio
+        # Replace the choice with probability ratio / sum; rescale the random number for reuse.
+        taken = ratio / sum_of_ratios if sum_of_ratios > 0.0 else 0.0
         if chance < taken:
             chosen = w
             colour = share
             bright = light
-            expected = hope
+            target = t
             chance = chance / taken
         else:
             chance = (chance - taken) / max(1.0 - taken, SMALLEST_NORMAL)
-    return chosen, scale(colour, total / (lights.ways * expected)), bright
+    return chosen, scale(colour, sum_of_ratios / (lights.ways * target)), bright
 
 
 @kernel()
@@ -464,13 +464,14 @@ def biweight(normals, n, normal, narrow):
     )
 )
 def filter_shine(rows, pixels, normals, first, light, step, width, found):
-    """Fill ``found`` (k, 4) with the filtered ``light`` (m, 4) of the points from number ``first``
-    on.
+    """Fill ``found`` (k, 4) with the filtered ``light`` (m, 4) of the k points from number
+    ``first`` on.
 
     Light is linear RGB and the variance of its luminance. It is averaged over 5 × 5 pixels, a
     ``step`` apart, by binomial weights times the ``biweight`` of the ``normals`` (m, 3), whose
-    width is ``width``. ``rows`` and ``pixels`` are as in ``pool_noise``. Source: Dammertz et al.
-    2010; Schied et al. 2017 for the variance.
+    width is ``width``. ``rows`` (h, w) number the points in the pixels of the picture, -1 if there
+    is none; ``pixels`` (m,) are the points' pixels. Source: Dammertz et al. 2010; Schied et al.
+    2017 for the variance.
     """
     (height, across) = rows.shape
     narrow = ONE_F32 / (width * width)
@@ -482,6 +483,7 @@ def filter_shine(rows, pixels, normals, first, light, step, width, found):
         # Sum the weighted light of the points in the window; variance has squared weights.
         for dy in range(-RADIUS, RADIUS + 1):
             v = y + dy * step
+            # A row beyond the picture has no points: its range of columns is empty.
             for dx in range(-RADIUS if 0 <= v < height else RADIUS + 1, RADIUS + 1):
                 u = x + dx * step
                 if 0 <= u < across:

@@ -131,10 +131,12 @@ all places (Knuth, "The Art of Computer Programming", section 6.4).
 def slot_of(number, keys):
     """Return the place of texel ``number`` in a table of ``keys``, whose length is a power of
     two, or the free place where it may be put.
+
+    The table must have a free place, else the search for a texel that it lacks does not end.
     """
     last = np.uint64(keys.shape[0] - 1)
     key = number + np.uint64(1)
-    at = (number * HASH_MULTIPLIER >> np.uint64(32)) & last
+    at = ((number * HASH_MULTIPLIER) >> np.uint64(32)) & last
     while keys[at] != key and keys[at] != np.uint64(0):
         at = (at + np.uint64(1)) & last
     return at
@@ -155,7 +157,7 @@ def look_up_normals(numbers, keys, table, normals, found):
 @kernel(types.void(KEY_ARRAY, POINT_ROWS, KEY_ARRAY, POINT_ROWS))
 def keep_normals(numbers, normals, keys, table):
     """Put the ``normals`` (m, 3) of the texels ``numbers`` (m,) into a ``table``
-    that has room for them.
+    that has more free places than these.
     """
     for m in range(numbers.shape[0]):
         at = slot_of(numbers[m], keys)

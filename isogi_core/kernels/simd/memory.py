@@ -45,7 +45,10 @@ gather = stub(
     __name__,
 )
 gather_pair = stub(
-    "gather_pair", "Return array[index] and array[index + 1] of a flat array of float32.", __name__
+    "gather_pair",
+    "Return array[index] and array[index + 1] of a flat array of float32; both indices of every "
+    "lane must be in it. Only for processors with SIMD.",
+    __name__,
 )
 take = stub(
     "take",
@@ -270,7 +273,10 @@ def _type_of_pair(array: Any, index: Any) -> Any:
 def _gather_pair(
     context: Any, builder: ir.IRBuilder, sig: Any, base: ir.Value, index: ir.Value
 ) -> ir.Value:
-    """Emit the loads of two consecutive elements per lane, for processors with SIMD."""
+    """Emit the loads of two consecutive elements per lane.
+
+    REGISTER_LANES is not None here, as rays that are traced one by one call no ``gather_pair``.
+    """
     # Load both elements of a pair as one 64-bit value, a register at a time: half as many loads.
     # Then part even elements from odd ones.
     width = REGISTER_LANES // 2

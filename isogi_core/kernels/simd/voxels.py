@@ -72,8 +72,8 @@ def _cube(typing: Any, voxels: Any, k: Any, j: Any, i: Any) -> Any:
     def _build(context: Any, builder: ir.IRBuilder, sig: Any, values: Any) -> ir.Value:
         data, slab, row = open_voxels(context, builder, sig.args[0], values[0])
         # Convert indices to integers, and find the flat place of the first corner of each cell.
-        whole = ir.VectorType(row.type, i.count)
-        cell = [builder.fptosi(value, whole) for value in values[1:]]
+        integers = ir.VectorType(row.type, i.count)
+        cell = [builder.fptosi(value, integers) for value in values[1:]]
         along = [
             builder.mul(c, splat(builder, step, i.count))
             for c, step in zip(cell, (slab, row), strict=False)

@@ -378,7 +378,8 @@ def block_ranges(voxels, fine=MAX_FINE_BRICKS, take=np.empty, measured=None):
     """Return the BlockRanges of a volume, from the result of ``measure_ranges`` if it is given as
     ``measured``.
 
-    ``take(count, dtype)`` allocates the array with one number for each brick.
+    ``take(count, dtype)`` allocates the margins of bricks if the ranges are of macrocells; those of
+    bricks are shared.
     """
     bz, by, bx = shape = brick_shape(voxels.shape)
     if measured is None:

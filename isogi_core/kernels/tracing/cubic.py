@@ -113,10 +113,10 @@ def first_crossing(q, solid, blur, wanted):
     """Return the smallest t in [0, 1] at which the cubic leaves the side ``solid``, and True if
     there is one.
 
-    Lanes that are not ``wanted`` have none; t means nothing without a crossing. A cubic that turns
-    within ``blur`` of 0 only touches the surface, and does not leave its side. The value at t = 1
-    is compared without blur: its sign is also the side on which the ray enters the next cell, and
-    a surface between two cells that disagreed would be lost.
+    Lanes that are not ``wanted`` have none; t means nothing if there is no crossing. A cubic that
+    turns within ``blur`` of 0 only touches the surface, and does not leave its side. The value at
+    t = 1 is compared without blur: its sign is also the side on which the ray enters the next cell,
+    and a surface between two cells that disagreed would be lost.
     """
     # Reject cubics whose Bernstein coefficients all lie on the starting side: they have no zero.
     across = ends_solid(q) != solid
@@ -126,14 +126,15 @@ def first_crossing(q, solid, blur, wanted):
     if not any_of(leaves):
         return q[3], leaves
     # Split at the turning points into monotone pieces: [0, r1], [r1, r2] and [r2, 1]. Take the
-    # first one that ends on the other side, in which the zero is the only one.
+    # first one that ends on the other side, in which the zero is the only one. A piece that has no
+    # length is left out.
     r1, r2 = turning_points(q)
-    turns = r1 > 0.0
-    one = turns & beyond(horner(q, r1), solid, blur)
-    after = where(turns, r1, 0.0)
-    turns = r2 > after
-    two = turns & beyond(horner(q, r2), solid, blur)
-    lo = where(one, 0.0, where(two, after, where(turns, r2, after)))
+    has_first = r1 > 0.0
+    one = has_first & beyond(horner(q, r1), solid, blur)
+    after = where(has_first, r1, 0.0)
+    has_second = r2 > after
+    two = has_second & beyond(horner(q, r2), solid, blur)
+    lo = where(one, 0.0, where(two, after, where(has_second, r2, after)))
     hi = where(one, r1, where(two, r2, 1.0))
     crosses = leaves & (one | two | across)
     return refine(q, lo, hi, solid, crosses), crosses

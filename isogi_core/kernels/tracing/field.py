@@ -201,8 +201,8 @@ def smooth_gradient(voxels, p):
 
 @kernel(exact=True)
 def put_weights(p, n, out):
-    """Write the B-spline weights (rows 0 to 3), slopes (4 to 7) and cells (8) of the
-    coordinates ``p`` along an axis of ``n`` voxels to ``out``; all are vectors.
+    """Write the B-spline weights (rows 0 to 3), slopes (4 to 7) and cells (8) of a vector of N
+    coordinates ``p`` along an axis of ``n`` voxels to ``out`` (9, N).
     """
     i = floor_within(p, n - 2)
     for a, w in enumerate(bspline(p - i)):

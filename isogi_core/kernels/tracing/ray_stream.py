@@ -116,16 +116,20 @@ def put_rays(shape, bricks, rays, m, stream, r):
 
 @kernel()
 def compact_rays(stream, r, met):
-    """Move the columns from ``r`` on whose bit is set in ``met`` together; return their end."""
+    """Keep those of the RAY_WIDTH columns from ``r`` on whose bit is set in ``met``: move them
+    together, in order, to begin at ``r``. Return the column behind the last kept one.
+    """
     records, spans, owners = stream
+    end = r
     for column in range(r, r + RAY_WIDTH):
         if met & 1:
             for field in range(FIELDS):
-                records[field, r] = records[field, column]
-            spans[0, r], spans[1, r], owners[r] = spans[0, column], spans[1, column], owners[column]
-            r += 1
+                records[field, end] = records[field, column]
+            spans[0, end], spans[1, end] = spans[0, column], spans[1, column]
+            owners[end] = owners[column]
+            end += 1
         met >>= 1
-    return r
+    return end
 
 
 @kernel()

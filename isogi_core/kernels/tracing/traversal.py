@@ -244,11 +244,13 @@ def certain(volume, cells, ray, c, span, sign, lanes):
     )
     turned = stride[0] < 0
     # A mirrored lane reads its pairs along x from the lower neighbour on. Lanes that are not asked
-    # for may be anywhere, and read from the start of the array.
+    # for read from the start of the array.
     place = linear(c, stride, base) + where(turned, -1, 0)
     sy, sz = where(lanes, stride[1], 0), where(lanes, stride[2], 0)
     v = corner_values(flat, where(lanes, place, 0), turned, sy, sz, ray.iso)
-    # Compare the Bernstein coefficients with the margin of float32 errors in this brick.
+    # Compare the Bernstein coefficients with the margin of float32 errors in this brick. The cells
+    # of all lanes are in the volume, also of those that are not asked for, so that each has a
+    # margin.
     corner = f32(c[0]), f32(c[1]), f32(c[2])
     p = ray.o[0] - corner[0], ray.o[1] - corner[1], ray.o[2] - corner[2]
     b = bernstein(v, points_along(p, span[0], ray.d), points_along(p, span[1], ray.d))

@@ -38,6 +38,7 @@ from isogi_core.kernels.transport.lights import (
     arriving,
     balanced_light,
     draw_bright,
+    has_bright_pixels,
     illuminate,
 )
 from isogi_core.kernels.transport.paths import PATH_RULES, PATH_STARTS, SAMPLE_RANGE, PathRules
@@ -231,7 +232,7 @@ def gather_from_outside(scene, state, vertices, bounce, light):
     """Add the light that lamps and bright parts of the environment send
     to the vertices of a wave.
     """
-    first = 0 if light.table.rows.shape[0] > 0 else 1
+    first = 0 if has_bright_pixels(light.table) else 1
     for source in range(first, 1 + light.lamps.kinds.shape[0]):
         aim_shadow_rays(state.wave, vertices, bounce, light, source, scene.field.spacing)
         add_sent(scene, state, vertices, bounce)

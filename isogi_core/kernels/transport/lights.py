@@ -110,6 +110,14 @@ BRIGHT_TABLE = record(
 
 
 @kernel()
+def has_bright_pixels(table):
+    """Return True if rays may be aimed at bright pixels: the ``table`` that samples directions to
+    them is not empty.
+    """
+    return table.rows.shape[0] > 0
+
+
+@kernel()
 def draw_bright(table, matrix, u, v):
     """Sample a world direction to a bright pixel by (u, v) in [0, 1)²; return it with the row and
     the column of the pixel.
@@ -156,7 +164,7 @@ def arriving(constant, image, matrix, table, w, cosine):
 
     It is the radiance, weighted as in ``balanced_light`` if ``table`` is not empty.
     """
-    if table.rows.shape[0] > 0:
+    if has_bright_pixels(table):
         y, x = pixel_towards(table.pixels, matrix, w)
         return balanced_light(table, y, x, cosine)
     return radiance(constant, image, matrix, w)

@@ -23,6 +23,7 @@ from isogi_core.kernels.transport.lights import (
     NO_LIGHT,
     draw_bright,
     draw_from_disc,
+    has_bright_pixels,
     pixel_radiance,
     pixel_towards,
     radiance,
@@ -115,7 +116,7 @@ def disc_met(discs, k, w):
 @kernel()
 def count_lights(lights):
     """Return the number of lights that rays may be aimed at."""
-    if lights.around.table.rows.shape[0] > 0:
+    if has_bright_pixels(lights.around.table):
         bright = 1
     else:
         bright = 0
@@ -128,7 +129,7 @@ def draw_light(lights, which, p, a, b):
     around = lights.around
     panels = lights.panels
     # Lights are numbered: the bright environment if there is one, then panels, then discs.
-    bright = 1 if around.table.rows.shape[0] > 0 else 0
+    bright = 1 if has_bright_pixels(around.table) else 0
     if which < bright:
         return draw_bright(around.table, around.matrix, a, b)[0]
     k = which - bright
@@ -151,7 +152,7 @@ def expect_along(lights, p, w):
     discs = lights.discs
     # Add the environment, with its density if it is sampled.
     total = 0.0
-    if around.table.rows.shape[0] > 0:
+    if has_bright_pixels(around.table):
         y, x = pixel_towards(around.table.pixels, around.matrix, w)
         (r, g, b) = pixel_radiance(around.table, y, x)
         total += around.table.pixels[y, x, 3]

@@ -147,6 +147,8 @@ def point_of_words(low, high, index, dimension):
     """Return ``point_2d`` for arguments that are words, or vectors of words; ``low`` and
     ``high`` make the seed.
     """
+    # The fourth word is all ones, made from ``dimension`` so that it has its type: a word or a
+    # vector.
     shuffle, first, second, _ = pcg4d(low, high, dimension, dimension | WORD_MASK)
     # Shuffle the index, then scramble both Sobol coordinates; these are reversed words, so that one
     # of the reversals in each scramble cancels.

@@ -110,12 +110,12 @@ IN_ROOM = record(InRoom, FIELD_RECORD, ACTIVE_CELLS, ROOM_RECORD)
 
 @kernel()
 def balance_area(room, k, cosine, slope, distance):
-    """Return the weight p_c/(p_c + p_a) of a ray to wall ``k`` that both cosine and area sampling
-    may draw.
+    """Return the part of the radiance of wall ``k`` that a ray towards it adds to E/π, if both
+    cosine and area sampling may draw the ray: p_c/(p_c + p_a).
 
-    Cosine sampling has the density p_c = cosθ/π, area sampling p_a = r²/(A |slope|); ``slope`` is
-    the cosine to the wall's normal. A ray of either technique adds this part of the radiance to
-    E/π. Source: Veach and Guibas 1995, balance heuristic.
+    Cosine sampling has the density p_c = cosθ/π, cosθ being ``cosine``. Area sampling has p_a =
+    r²/(A |slope|), r being the ``distance``, and ``slope`` the cosine between the ray and the
+    wall's normal. Source: Veach and Guibas 1995, balance heuristic.
     """
     by_cosine = cosine / math.pi
     by_area = distance * distance / max(room.areas[k] * abs(slope), SMALLEST_NORMAL)

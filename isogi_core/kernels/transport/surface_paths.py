@@ -371,8 +371,8 @@ def stand_on(scene, state, following, count, bounce, chance):
 
 @kernel()
 def start_on_either_side(scene, state, vertices, starts):
-    """Let paths leave their first surface on one of its sides,
-    each with its share of the light that leaves.
+    """Let each path leave its first surface, number 0, on either side if that transmits light;
+    a side is drawn by its share of the light that leaves.
     """
     surfaces = scene.surfaces
     rays = state.wave.rays
@@ -384,8 +384,8 @@ def start_on_either_side(scene, state, vertices, starts):
         m = rays.owners[h]
         if state.on[h] == NO_SURFACE:
             continue
-        # Estimates are per unit of albedo plus transmission, as E of both sides is weighted by
-        # these.
+        # The light of a start is the mean of both sides, weighted by albedo and transmission:
+        # divide by their sum.
         for c in range(3):
             state.wave.carried[c, m] /= max(surfaces.albedos[0, c] + through[c], SMALLEST_NORMAL)
         # Move the start of a path that leaves on the other side.
