@@ -130,9 +130,8 @@ def shade_by_paths(shot: Shot) -> Framebuffer:
     """Path-trace a picture, as a reference; estimate the error of each pixel from replicas, and
     mark pixels as final if it is within that of the goal. Raises Cancelled.
 
-    Each replica takes an equal part of the samples of the view, rounded down, but one at least. So
-    a pixel sends as many paths as the view has samples if the replicas divide them, else fewer;
-    for one sample it sends two.
+    Each replica takes an equal part of the samples of the view, rounded up. So a pixel sends as
+    many paths as the view has samples if the replicas divide them, else a few more.
     """
     gbuffer = shot.gbuffer
     light = shot.light
