@@ -1047,8 +1047,8 @@ class Isogi:
     def _connection(self, path: str, asked: Mapping[str, str], last: str) -> Iterator[Event]:
         """Yield the events of one connection until it ends or breaks.
 
-        ``last`` is the id of the last event that came before, empty if none came. The server is
-        asked to leave out events on the picture with this id.
+        ``last`` is the id of the last event that came before, empty if none came. The server leaves
+        its first event out if that has the same id.
         """
         headers = {"Accept": "text/event-stream"}
         if last:

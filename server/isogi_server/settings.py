@@ -458,13 +458,11 @@ def read_settings(config: Path | None = None, **given: Any) -> Settings:
     """Read the settings: those ``given``, then the environment's, then those in the file
     ``config``.
 
-    Raises pydantic's ValidationError; ValueError if the file is not TOML, or a former name is
-    given; OSError if the file cannot be read.
+    Raises pydantic's ValidationError; ValueError if the file is not TOML, or if the environment has
+    a variable of a former name; OSError if the file cannot be read.
     """
     for former, sentence in FORMER_SETTING_NAMES.items():
         variable = f"ISOGI_{former.upper()}"
-        if former in given:
-            raise ValueError(f"{former} {sentence}")
         if variable in os.environ:
             raise ValueError(f"{variable}: {former} {sentence}")
     if config is None:

@@ -224,7 +224,7 @@ class Baker:
         pool = self._pool
         # Without a name take the bake that was added first.
         bake = self._bakes.get(scene or next(iter(self._bakes), ""))
-        # The bake of a scene projects no texels, so that it has no isosurface ``shown`` to pass on.
+        # Open it by the arguments of its tasks: these find it open then.
         if pool is not None and bake is not None:
             place = (bake.source, bake.plan, bake.digest, bake.store_url)
             pool.prepare(partial(open_spec, *place, bake.assets, bake.shown))

@@ -200,6 +200,7 @@ class Connection(H11Protocol):
         self._since = self._taken = self.loop.time()
         self._unsent = 0
         self._refused = False
+        self._counted = False
         self._next_check: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
@@ -298,7 +299,7 @@ class Connection(H11Protocol):
 
     @property
     def _heard(self) -> bool:
-        """True if what the client says still matters: its connection is not being closed."""
+        """True if more bytes of the client matter: the connection is not being closed."""
         return not self._refused and not self.transport.is_closing()
 
     @property
@@ -335,14 +336,14 @@ class Connection(H11Protocol):
 
     def drop(self, why: str) -> None:
         """Abort the connection, whatever is unsent; count it by the reason ``why``."""
-        self.metrics.closed.labels(why).inc()
+        self._count(why)
         self.transport.abort()
 
     def give_up(self, why: str, sentence: str) -> None:
         """Close the connection, and count it by the reason ``why``. If a request has begun and has
         no answer yet, answer it with 408 and this ``sentence`` first.
         """
-        self.metrics.closed.labels(why).inc()
+        self._count(why)
         answering = (
             self.cycle is not None
             and self.cycle.response_started
@@ -379,6 +380,12 @@ class Connection(H11Protocol):
         # sends.
         self.transport.write_eof()
         self.loop.call_later(LINGER, self.transport.close)
+
+    def _count(self, why: str) -> None:
+        """Count the connection as closed for the reason ``why``, unless it was counted before."""
+        if not self._counted:
+            self._counted = True
+            self.metrics.closed.labels(why).inc()
 
     def _end_cycle(self) -> None:
         """Tell the app that its client left, so that it answers no more."""

@@ -258,15 +258,12 @@ class Startup:
         not need by default; nothing of this after a failure.
         """
         try:
-            if not (self.failure or self.lit.is_set()):
+            if self.failure:
+                return
+            if not self.lit.is_set():
                 await self._light()
-            scenes = [] if self.failure else list(self._engine.scenes.values())
-            for scene in scenes:
-                if self._closing:
-                    break
-                await asyncio.to_thread(survey, scene)
-            if not self.failure:
-                await self._compile_others()
+            await self._survey(survey)
+            await self._compile_others()
         except Exception as error:
             self.failure = error
         finally:
@@ -274,6 +271,18 @@ class Startup:
             # error.
             self.lit.set()
             self._all.set()
+
+    async def _survey(self, survey: Callable[[Scene], None]) -> None:
+        """Call ``survey`` with each scene until the service closes. If that fails for a scene,
+        pictures can be drawn all the same.
+        """
+        for scene in list(self._engine.scenes.values()):
+            if self._closing:
+                return
+            try:
+                await asyncio.to_thread(survey, scene)
+            except Exception:
+                log.exception("The document of the scene %s could not be computed.", scene.id)
 
     async def _compile_others(self) -> None:
         """Compile the kernels that scenes do not need by default. If that fails, all other pictures

@@ -11,7 +11,7 @@ import os
 import threading
 import time
 from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -226,14 +226,12 @@ class Prewarm:
         order is cancelled.
         """
         coming = asyncio.run_coroutine_threadsafe(self._frame(picture), loop)
-        # Look for cancellation between waits, as the frame may take long. A wait that is over
-        # raises TimeoutError.
+        # Look for cancellation between waits, as the frame may take long.
         try:
-            while True:
-                with suppress(TimeoutError):
-                    return coming.result(FRAME_CHECK_SECONDS)
+            while not wait([coming], FRAME_CHECK_SECONDS).done:
                 if self.cancelled.is_set():
                     raise Cancelled("This prewarm was stopped.")
+            return coming.result()
         finally:
             coming.cancel()
 

@@ -46,7 +46,7 @@ class IdleBakes:
         """Set the functions that begin a bake and end it.
 
         ``begin`` requests the texels that a picture lacks for IDLE_VIEWER, those of one stage, and
-        returns None if it lacks none; ``leave`` drops the requests of a viewer.
+        returns None if it lacks none that can be baked; ``leave`` drops the requests of a viewer.
         """
         self._begin = begin
         self._leave = leave
@@ -131,7 +131,7 @@ class IdleBakes:
         """
         begun = time.monotonic()
         former = None
-        while (bake := self._begin(picture)) is not None and bake.coming:
+        while (bake := self._begin(picture)) is not None:
             # Chunks that still lack light after they were baked never get it.
             if former == (bake.bake, bake.chunks):
                 break

@@ -81,8 +81,8 @@ class UpdateBus:
             self._loop.call_soon_threadsafe(self._note, bake, index, more)
 
     def newest(self, bake: str) -> int:
-        """Return a number that no update of a bake has exceeded: that of its newest one, or if
-        more have been forgotten, the largest that was forgotten with any bake or chunk; else 0.
+        """Return a number that no update of a bake has exceeded: that of its newest update, or the
+        largest forgotten one if that update was forgotten or is older; 0 if there was none.
         """
         # Chunks without an entry count as updated at the number that was forgotten last: a frame
         # that is drawn now has seen all updates up to it.

@@ -92,15 +92,17 @@ def frame_of(final: bool) -> Any:
     return SimpleNamespace(frame=frame, coming=not final, place=place)
 
 
-async def ids_told(seen: str, monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """The kinds and ids of events on a picture that becomes final at the same version, by measuring
-    alone.
+async def ids_told(
+    seen: str, monkeypatch: pytest.MonkeyPatch, pictures: tuple[bool, ...] = (False, True)
+) -> list[str]:
+    """The kinds and ids of events on ``pictures`` of the same version, each final or not: by
+    default one that becomes final by measuring alone.
     """
     monkeypatch.setattr("isogi_server.api.routes.events.coverage", lambda _: {})
 
     async def refinements(order: Any, viewer: Any) -> AsyncGenerator[Any, None]:
-        yield frame_of(final=False)
-        yield frame_of(final=True)
+        for final in pictures:
+            yield frame_of(final)
 
     place = SimpleNamespace(check=lambda: None)
     service: Any = SimpleNamespace(
@@ -121,7 +123,17 @@ async def test_a_client_that_comes_back_hears_final(monkeypatch: pytest.MonkeyPa
     refined, final = await ids_told("", monkeypatch)
     assert (refined.split()[0], final.split()[0]) == ("refined", "final")
     assert await ids_told(refined.split()[1], monkeypatch) == [final]
-    assert await ids_told(final.split()[1], monkeypatch) == [refined]
+    assert await ids_told(final.split()[1], monkeypatch, (True,)) == []
+
+
+async def test_a_client_that_comes_back_hears_all_that_is_new(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Each new error of the picture that it knows, and the end of one that is measured again."""
+    refined, final = await ids_told("", monkeypatch)
+    more = await ids_told(refined.split()[1], monkeypatch, (False, False, True))
+    assert more == [refined, final]
+    assert await ids_told(final.split()[1], monkeypatch) == [refined, final]
 
 
 def test_a_path_traced_view_ends_with_its_samples(client: httpx.Client) -> None:

@@ -834,6 +834,21 @@ async def test_pictures_are_drawn_though_rare_kernels_fail(
     assert "few pictures need" in caplog.text
 
 
+async def test_pictures_are_drawn_though_a_survey_fails(
+    startup: Startup, did: list[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    def survey(scene: Any) -> None:
+        did.append(scene.id)
+        raise ZeroDivisionError
+
+    startup._engine.scenes = {each: SimpleNamespace(id=each) for each in ("one", "other")}  # type: ignore[misc]
+    await startup.run(lambda: None, survey)
+    await startup.others("phong", 5.0)
+    assert startup.open
+    assert did == ["open", "light", "one", "other", "others"]
+    assert "document of the scene one" in caplog.text
+
+
 async def test_scenes_are_not_surveyed_once_it_is_to_stop(startup: Startup, did: list[str]) -> None:
     """A server of many scenes would stop late."""
     surveyed = asyncio.Event()

@@ -7,12 +7,14 @@ import json
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import httpx
 import pytest
 
 from isogi_core.plan.assembly import load_scene
+from isogi_server.api.prewarm_jobs import Prewarm
 from isogi_server.cli.prewarm import prewarm
 from isogi_server.prewarm.order import order_of
 from isogi_server.prewarm.record import recorded_prewarms
@@ -228,3 +230,20 @@ def test_the_body_is_documented(idle: Idle) -> None:
     for example in body["examples"].values():
         told = {name: value for name, value in example["value"].items() if name != "dry_run"}
         assert order_of(told)
+
+
+async def test_a_frame_that_takes_too_long_is_an_error() -> None:
+    """Its TimeoutError is no end of a wait, after which it would be waited for again."""
+
+    async def frame(*_: Any) -> None:
+        raise TimeoutError("of a disk")
+
+    service: Any = SimpleNamespace(frame=frame, rank=lambda *_: None, attended=False)
+    nothing: Any = None
+    work = Prewarm(service, nothing, nothing)
+    asking = asyncio.to_thread(work._frame_of, asyncio.get_running_loop(), nothing)
+    try:
+        with pytest.raises(TimeoutError, match="of a disk"):
+            await asyncio.wait_for(asking, 10)
+    finally:
+        work.cancelled.set()

@@ -100,8 +100,8 @@ TIME_LEFT_SECONDS = 1.0
 async def events_of(
     service: Service, picture: PictureRequest, seen: str, viewer: Viewer, client: Hashable
 ) -> AsyncGenerator[bytes, None]:
-    """Yield events of a picture until it is final or has failed, without those with the id
-    ``seen``; none if that told that it is final.
+    """Yield events of a picture until it is final or has failed. The first is left out if its id
+    is ``seen``, unless it tells of a failure; none is left if it tells that the picture is final.
 
     Its light is baked while the ``client`` listens. Raises BusyError if too many clients do, and
     StoreError.
@@ -125,7 +125,11 @@ async def events_of(
                     # ``answers`` drops it when it is asked for the next one.
                     shown.place.leave()
                     del shown
-                    if kind == "failed" or name != seen:
+                    known = kind != "failed" and name == seen
+                    # Pictures after the first one have new light or a new error, also those with
+                    # its id.
+                    seen = ""
+                    if not known:
                         yield event(kind, facts, name)
         finally:
             service.leave(viewer)

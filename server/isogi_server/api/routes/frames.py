@@ -343,7 +343,8 @@ async def follow(
     """Return when a background bake is done. The ``job`` reports the share of the ``needed`` chunks
     that are baked.
 
-    Its updates are reported under the name ``bake``; those with numbers above ``since`` count.
+    New light of the ``baking`` is reported under the name ``bake``, by updates with numbers above
+    ``since``.
     """
     with service.updates.pending(bake, baking.coming, since) as pending:
         while not pending.all.is_set() and (waiting := await asyncio.to_thread(baking.waiting)):
