@@ -105,17 +105,20 @@ Header = dict[str, Any]
 
 
 def read_header(source: Source, file: IO[bytes]) -> Header:
-    """Read the header's fields, and leave ``file`` at the byte after it. That of an upload ends
-    within MAX_HEADER.
+    """Read the header's fields, and leave ``file`` at the byte after it. That of an upload or of a
+    file in a ZIP ends within MAX_HEADER.
     """
     name = source.name
     if file.read(4) != b"NRRD":
         raise VolumeError(f"'{name}' is not a NRRD file: give an .nrrd or .nhdr volume.")
-    if source.path is None and not _HEADER_END.search(file.read(MAX_HEADER)):
-        raise VolumeError(
-            f"The NRRD header of '{name}' does not end within {MAX_HEADER} bytes: save the "
-            "file again."
-        )
+    if source.path is None:
+        begun = file.read(MAX_HEADER)
+        # A header with its data in other files may end with the file, without a blank line.
+        if len(begun) == MAX_HEADER and not _HEADER_END.search(begun):
+            raise VolumeError(
+                f"The NRRD header of '{name}' does not end within {MAX_HEADER} bytes: save the "
+                "file again."
+            )
     file.seek(0)
     lines = _lines(file)
     listed = next((place + 1 for place, line in enumerate(lines) if _LIST.match(line)), len(lines))
