@@ -11,7 +11,7 @@ import numpy as np
 from isogi_core.errors import VolumeError
 from isogi_core.files.coordinates import NOWHERE, SPACING_KEY, Along, Place, place_by
 from isogi_core.files.formats.source import Source, library, pick_axes, reader
-from isogi_core.files.grid import Grid, Shape, read_as, slab_layers
+from isogi_core.files.grid import Grid, Shape, slab_layers
 from isogi_core.files.packing import Packing, Scaling, holed, whole_type
 
 FITS_EXTRA = "'isogi[fits]'"
@@ -37,10 +37,9 @@ def open_fits(source: Source) -> Grid:
             key[axis] = element
         shape = tuple(int(image.shape[n]) for n in inner)
         source.check(shape)
-        stored = _stored_type(image.header)
         packing = _packing(image.header)
         place = _place(image.header, [len(image.shape) - n for n in inner[::-1]], shape[::-1])
-    known = read_as("FITS", stored, "its axes" if place.said and not place.notes else "")
+    known = packing.read_as("FITS", "its axes" if place.said and not place.notes else "")
     return Grid(
         shape,
         packing.dtype,

@@ -320,6 +320,7 @@ def test_cubes_of_fits(tmp_path: Path) -> None:
         known = np.where(F.max() == F, np.nan, 0.5 * F + 3.0)
         np.testing.assert_allclose(grid.whole(), known)
         assert grid.affine is not None and grid.affine.matrix[2][2] == -1.5
+        assert grid.read_as == "FITS of int16, values 0.5 · stored +3; placed by its axes"
     (tmp_path / "sky.fits").write_bytes(fits(CTYPE1="'RA---TAN'", **places))
     assert "cubes, as its axes are RA---TAN" in open_file(tmp_path / "sky.fits", {}).notes[0]
 
@@ -345,7 +346,7 @@ def test_fits_of_the_other_sign_stays_whole(
     head = cards(SIMPLE=True, BITPIX=bits, NAXIS=3, **sizes, BZERO=zero)
     (tmp_path / "f.fits").write_bytes(head + stored.tobytes() + bytes(-stored.nbytes % 2880))
     grid = open_file(tmp_path / "f.fits", {})
-    assert grid.dtype == kind
+    assert grid.dtype == kind and grid.read_as.startswith(f"FITS of {grid.dtype};")
     np.testing.assert_array_equal(grid.whole(), stored.astype(np.int64) + zero)
 
 
