@@ -96,7 +96,7 @@ def _packing(header: Any) -> Packing:
 @contextmanager
 def _image(source: Source) -> Iterator[Any]:
     """Open the image that is chosen by its number or name; by default the only one that has three
-    or more axes longer than one. Raises VolumeError.
+    or more axes longer than one. Raises VolumeError, also if several have the name.
     """
     fits = library("astropy.io.fits", "FITS", FITS_EXTRA)
     with (
@@ -109,12 +109,13 @@ def _image(source: Source) -> Iterator[Any]:
             for n, unit in enumerate(units)
             if sum(length > 1 for length in getattr(unit, "shape", ()) or ()) >= 3
         }
-        named = {unit.name.lower(): unit for unit in cubes.values() if unit.name}
-        if part:
-            found = cubes.get(part) or named.get(part.lower())
+        if not part:
+            meant = list(cubes.values())
+        elif part in cubes:
+            meant = [cubes[part]]
         else:
-            found = next(iter(cubes.values())) if len(cubes) == 1 else None
-        if found is None:
+            meant = [unit for unit in cubes.values() if unit.name.lower() == part.lower()]
+        if len(meant) != 1:
             if not cubes:
                 raise VolumeError(
                     f"'{source.name}' holds tables or images of two axes alone: give a file with a "
@@ -122,7 +123,7 @@ def _image(source: Source) -> Iterator[Any]:
                 )
             listed = ", ".join(f"'{source.name}#{n}' {unit.name}" for n, unit in cubes.items())
             raise VolumeError(f"'{source.name}' holds no one cube: choose of {listed.strip()}.")
-        yield found
+        yield meant[0]
 
 
 def _place(header: Any, numbers: Sequence[int], lengths: Sequence[int]) -> Place:

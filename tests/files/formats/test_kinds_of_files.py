@@ -369,6 +369,17 @@ def test_fits_without_a_cube_is_named(tmp_path: Path) -> None:
     assert "tables or images of two axes alone: give a file with a cube" in said
 
 
+def test_a_name_of_several_cubes_of_fits_chooses_none(tmp_path: Path) -> None:
+    astropy = pytest.importorskip("astropy.io.fits")
+    cubes = [astropy.ImageHDU(F + n, name=name) for n, name in enumerate(("SCI", "SCI", "DQ"))]
+    astropy.HDUList([astropy.PrimaryHDU(), *cubes]).writeto(tmp_path / "f.fits")
+    for part, added in (("dq", 2), ("2", 1)):
+        whole = open_file(tmp_path / "f.fits", {"part": part}).whole()
+        np.testing.assert_array_equal(whole, F + added)
+    with pytest.raises(VolumeError, match=r"holds no one cube: choose of '.*f.fits#1' SCI, "):
+        open_file(tmp_path / "f.fits", {"part": "sci"})
+
+
 def test_texts_that_name_each_other_are_no_headers(tmp_path: Path) -> None:
     (tmp_path / "a.dat").write_text("see b.dat")
     (tmp_path / "b.dat").write_text("see a.dat")
