@@ -51,7 +51,6 @@ from isogi_core.files.packed_files import (
     cut_notes,
     open_regular,
     read_end,
-    stamp_of,
 )
 from isogi_core.files.vector import Vector
 
@@ -506,7 +505,7 @@ def open_nrrd(source: Source) -> Grid:
         np.dtype(np.float32) if layout.number is None else dtype,
         spacing_of(source.name, header, layout),
         partial(_slabs, source),
-        partial(_stamp, source, files),
+        partial(source.stamp, *files),
         affine_of(header, layout),
         unit_of(header),
         (*layout.notes, *cut, *unit_notes(header)),
@@ -551,15 +550,6 @@ def number_of(header: Header, key: str) -> float | None:
     except (KeyError, ValueError):
         return None
     return number if math.isfinite(number) else None
-
-
-def _stamp(source: Source, files: list[Path]) -> str:
-    """Return the state of the header and of its data files, and the choices."""
-    if source.chosen:
-        chosen = f" {sorted(source.chosen.items())}"
-    else:
-        chosen = ""
-    return f"{stamp_of([*source.stored, *(files or source.stored)])}{chosen}"
 
 
 def _slabs(source: Source) -> Iterator[np.ndarray]:
