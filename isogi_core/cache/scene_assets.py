@@ -354,7 +354,8 @@ def download(asset: Asset, draft: Draft, digest: str) -> dict[str, Any]:
         for plane in slab.astype(np.float32, copy=False):
             draft.write(plane)
             seen.update(plane.data)
-    if seen.hexdigest() != digest:
+    # A copy is found by the digest among its facts, too.
+    if not seen.hexdigest() == facts["digest"] == digest:
         raise asset.damaged("it holds another volume")
     draft.seal(shape, facts)
     return facts

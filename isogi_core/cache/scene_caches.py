@@ -67,12 +67,11 @@ class Loader:
         # Read the chunks that the pool lacks or has outdated, but not those that the store lacked a
         # moment ago.
         missing = [index for index in self.pool.missing(chunks) if self._is_due(index)]
+        if not missing:
+            return
         # The chunks of this view must be in the pool together, so none of them is dropped for
         # another.
-        if missing:
-            together = frozenset(chunks)
-        else:
-            together = frozenset()
+        together = frozenset(chunks)
         with self._reading() as refreshed:
             # Light that this process has not written yet is newer than the store's.
             newer = {index: self.chunk_store.fresh.newer(index) for index in missing}

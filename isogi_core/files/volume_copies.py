@@ -37,7 +37,7 @@ def new_voxels(path: Path) -> Iterator["Draft"]:
     After the block the draft is forced to the disk, and then renamed to ``path``: a loss of power
     leaves the new file, or the state before. If the block fails, the draft is deleted, and ``path``
     stays as it was. Drafts of one path have the same name, which ends in ``.partial``: only one
-    process at a time may write to ``path``.
+    thread of one process at a time may write to ``path``.
     """
     partial = path.with_suffix(PARTIAL_SUFFIX)
     try:

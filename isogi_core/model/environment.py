@@ -549,19 +549,40 @@ def bright_table(radiance: np.ndarray, excess: np.ndarray) -> BrightTable:
     weights = excess * solid_angles(height, width)
     rows, columns = cumulative(weights)
     density = excess / weights.sum()
-    pixels = np.concatenate([radiance, density[..., None]], axis=2).astype(np.float32)
+    pixels = np.concatenate([radiance, density[..., None]], axis=2, dtype=np.float32)
     heights = np.cos(np.arange(height + 1) * (np.pi / height))
-    guides = np.array([guide_of(row) for row in columns])
-    return BrightTable(rows, columns, guide_of(rows), guides, heights, pixels)
+    return BrightTable(rows, columns, guide_of(rows), guide_of(columns), heights, pixels)
+
+
+GUIDED_ROWS = 64
+"""Number of rows of shares whose guides are made at once: they stay in the processor's cache."""
 
 
 def guide_of(shares: np.ndarray) -> np.ndarray:
-    """Return the intervals of cumulative ``shares`` (n + 1,) in which 0, 1/n, …, 1 lie; (n + 1,)
-    int32. See ``kernels.transport.sampling.find_interval``.
+    """Return the intervals of cumulative ``shares`` (..., n + 1), from 0 to 1 along the last axis,
+    in which 0, 1/n, …, 1 lie; (..., n + 1) int32. See ``kernels.transport.sampling.find_interval``.
     """
-    count = len(shares) - 1
-    found = np.searchsorted(shares, np.arange(count + 1) / count, side="right") - 1
-    return np.minimum(found, count - 1).astype(np.int32)
+    rows = shares.reshape(-1, shares.shape[-1])
+    guides = np.empty(rows.shape, np.int32)
+    for first in range(0, len(rows), GUIDED_ROWS):
+        block = slice(first, first + GUIDED_ROWS)
+        guides[block] = _guides(rows[block])
+    return guides.reshape(shares.shape)
+
+
+def _guides(shares: np.ndarray) -> np.ndarray:
+    """Return ``guide_of`` each row of ``shares`` (h, n + 1); (h, n + 1) int32."""
+    height, width = shares.shape
+    count = width - 1
+    # Find the least k of which the double k/n is not below a share: n times the share, rounded
+    # down, or one more.
+    reached = (shares * count).astype(np.intp)
+    reached += shares > (np.arange(width) / count)[reached]
+    # Count the shares that each k is the least for, row by row. All of them up to k lie at k/n or
+    # below; the last of these begins the interval.
+    reached += width * np.arange(height)[:, None]
+    begun = np.bincount(reached.ravel(), minlength=height * width).reshape(height, width)
+    return np.minimum(begun.cumsum(axis=1, dtype=np.int32) - 1, count - 1)
 
 
 def cumulative(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

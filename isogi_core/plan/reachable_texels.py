@@ -171,12 +171,12 @@ def lattice_spans(cells: int, texels: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def any_within(marks: np.ndarray, firsts: list[np.ndarray], counts: list[np.ndarray]) -> np.ndarray:
-    """Return True for each box that holds a set one of the ``marks``, bool; the result has as many
-    entries along each axis as there are intervals along it.
+    """Return True for each box in which one of the ``marks``, bool, is set; bool, with as
+    many entries along each axis as there are intervals along it.
 
     A box is the product of one interval of each axis. Interval i of an axis has ``counts[axis][i]``
     marks, 1 or more, from ``firsts[axis][i]`` on. It must begin within the array, and its part
-    beyond the end of the array holds no set mark.
+    beyond the end of the array counts as not set.
     """
     for axis, (first, count) in enumerate(zip(firsts, counts, strict=True)):
         most = marks.shape[axis] - 1

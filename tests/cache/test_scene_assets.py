@@ -173,7 +173,14 @@ def of_two_axes(found: dict[str, Any]) -> None:
     found["chunk_grid"]["configuration"]["chunk_shape"] = [4, 8]
 
 
-@pytest.mark.parametrize("change", [without_spacing, without_name, with_more, of_two_axes])
+def of_another_digest(found: dict[str, Any]) -> None:
+    found["attributes"]["isogi"]["digest"] = "0" * 32
+
+
+CHANGES = [without_spacing, without_name, with_more, of_two_axes, of_another_digest]
+
+
+@pytest.mark.parametrize("change", CHANGES)
 def test_facts_of_another_kind_are_refused(
     scene: Scene, tmp_path: Path, copies: Path, change: Callable[[dict[str, Any]], None]
 ) -> None:

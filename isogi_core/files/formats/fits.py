@@ -11,7 +11,7 @@ import numpy as np
 from isogi_core.errors import VolumeError
 from isogi_core.files.coordinates import NOWHERE, SPACING_KEY, Along, Place, place_by
 from isogi_core.files.formats.source import Source, library, pick_axes, reader
-from isogi_core.files.grid import Grid, Shape, read_as, slab_layers
+from isogi_core.files.grid import Grid, Shape, slab_layers
 from isogi_core.files.packing import Packing, Scaling, holed, whole_type
 
 FITS_EXTRA = "'isogi[fits]'"
@@ -37,10 +37,9 @@ def open_fits(source: Source) -> Grid:
             key[axis] = element
         shape = tuple(int(image.shape[n]) for n in inner)
         source.check(shape)
-        stored = _stored_type(image.header)
         packing = _packing(image.header)
         place = _place(image.header, [len(image.shape) - n for n in inner[::-1]], shape[::-1])
-    known = read_as("FITS", stored, "its axes" if place.said and not place.notes else "")
+    known = packing.read_as("FITS", "its axes" if place.said and not place.notes else "")
     return Grid(
         shape,
         packing.dtype,
@@ -97,7 +96,7 @@ def _packing(header: Any) -> Packing:
 @contextmanager
 def _image(source: Source) -> Iterator[Any]:
     """Open the image that is chosen by its number or name; by default the only one that has three
-    or more axes longer than one. Raises VolumeError.
+    or more axes longer than one. Raises VolumeError, also if several have the name.
     """
     fits = library("astropy.io.fits", "FITS", FITS_EXTRA)
     with (
@@ -110,12 +109,13 @@ def _image(source: Source) -> Iterator[Any]:
             for n, unit in enumerate(units)
             if sum(length > 1 for length in getattr(unit, "shape", ()) or ()) >= 3
         }
-        named = {unit.name.lower(): unit for unit in cubes.values() if unit.name}
-        if part:
-            found = cubes.get(part) or named.get(part.lower())
+        if not part:
+            meant = list(cubes.values())
+        elif part in cubes:
+            meant = [cubes[part]]
         else:
-            found = next(iter(cubes.values())) if len(cubes) == 1 else None
-        if found is None:
+            meant = [unit for unit in cubes.values() if unit.name.lower() == part.lower()]
+        if len(meant) != 1:
             if not cubes:
                 raise VolumeError(
                     f"'{source.name}' holds tables or images of two axes alone: give a file with a "
@@ -123,7 +123,7 @@ def _image(source: Source) -> Iterator[Any]:
                 )
             listed = ", ".join(f"'{source.name}#{n}' {unit.name}" for n, unit in cubes.items())
             raise VolumeError(f"'{source.name}' holds no one cube: choose of {listed.strip()}.")
-        yield found
+        yield meant[0]
 
 
 def _place(header: Any, numbers: Sequence[int], lengths: Sequence[int]) -> Place:

@@ -51,7 +51,6 @@ from isogi_core.files.packed_files import (
     cut_notes,
     open_regular,
     read_end,
-    stamp_of,
 )
 from isogi_core.files.vector import Vector
 
@@ -105,17 +104,20 @@ Header = dict[str, Any]
 
 
 def read_header(source: Source, file: IO[bytes]) -> Header:
-    """Read the header's fields, and leave ``file`` at the byte after it. That of an upload ends
-    within MAX_HEADER.
+    """Read the header's fields, and leave ``file`` at the byte after it. That of an upload or of a
+    file in a ZIP ends within MAX_HEADER.
     """
     name = source.name
     if file.read(4) != b"NRRD":
         raise VolumeError(f"'{name}' is not a NRRD file: give an .nrrd or .nhdr volume.")
-    if source.path is None and not _HEADER_END.search(file.read(MAX_HEADER)):
-        raise VolumeError(
-            f"The NRRD header of '{name}' does not end within {MAX_HEADER} bytes: save the "
-            "file again."
-        )
+    if source.path is None:
+        begun = file.read(MAX_HEADER)
+        # A header with its data in other files may end with the file, without a blank line.
+        if len(begun) == MAX_HEADER and not _HEADER_END.search(begun):
+            raise VolumeError(
+                f"The NRRD header of '{name}' does not end within {MAX_HEADER} bytes: save the "
+                "file again."
+            )
     file.seek(0)
     lines = _lines(file)
     listed = next((place + 1 for place, line in enumerate(lines) if _LIST.match(line)), len(lines))
@@ -503,7 +505,7 @@ def open_nrrd(source: Source) -> Grid:
         np.dtype(np.float32) if layout.number is None else dtype,
         spacing_of(source.name, header, layout),
         partial(_slabs, source),
-        partial(_stamp, source, files),
+        partial(source.stamp, *files),
         affine_of(header, layout),
         unit_of(header),
         (*layout.notes, *cut, *unit_notes(header)),
@@ -548,15 +550,6 @@ def number_of(header: Header, key: str) -> float | None:
     except (KeyError, ValueError):
         return None
     return number if math.isfinite(number) else None
-
-
-def _stamp(source: Source, files: list[Path]) -> str:
-    """Return the state of the header and of its data files, and the choices."""
-    if source.chosen:
-        chosen = f" {sorted(source.chosen.items())}"
-    else:
-        chosen = ""
-    return f"{stamp_of([*source.stored, *(files or source.stored)])}{chosen}"
 
 
 def _slabs(source: Source) -> Iterator[np.ndarray]:

@@ -117,6 +117,13 @@ def test_a_header_finds_its_data(folder: str) -> None:
     assert uploaded(packed(files)).tobytes() == VOXELS
 
 
+def test_a_header_in_a_zip_may_end_without_a_blank_line(tmp_path: Path) -> None:
+    data = packed({"a.nhdr": LOST.rstrip() + b"\n", "a.raw": VOXELS})
+    assert uploaded(data).tobytes() == VOXELS
+    (tmp_path / "a.zip").write_bytes(data)
+    assert open_file(tmp_path / "a.zip", {}).whole().tobytes() == VOXELS
+
+
 def test_a_volume_alone_is_found_beside_a_text() -> None:
     attached = HEADER.replace("data file: {}\n", "").encode() + VOXELS
     assert uploaded(packed({"a.nrrd": attached})).tobytes() == VOXELS

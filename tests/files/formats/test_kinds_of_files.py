@@ -320,6 +320,7 @@ def test_cubes_of_fits(tmp_path: Path) -> None:
         known = np.where(F.max() == F, np.nan, 0.5 * F + 3.0)
         np.testing.assert_allclose(grid.whole(), known)
         assert grid.affine is not None and grid.affine.matrix[2][2] == -1.5
+        assert grid.read_as == "FITS of int16, values 0.5 · stored +3; placed by its axes"
     (tmp_path / "sky.fits").write_bytes(fits(CTYPE1="'RA---TAN'", **places))
     assert "cubes, as its axes are RA---TAN" in open_file(tmp_path / "sky.fits", {}).notes[0]
 
@@ -345,7 +346,7 @@ def test_fits_of_the_other_sign_stays_whole(
     head = cards(SIMPLE=True, BITPIX=bits, NAXIS=3, **sizes, BZERO=zero)
     (tmp_path / "f.fits").write_bytes(head + stored.tobytes() + bytes(-stored.nbytes % 2880))
     grid = open_file(tmp_path / "f.fits", {})
-    assert grid.dtype == kind
+    assert grid.dtype == kind and grid.read_as.startswith(f"FITS of {grid.dtype};")
     np.testing.assert_array_equal(grid.whole(), stored.astype(np.int64) + zero)
 
 
@@ -366,6 +367,17 @@ def test_fits_without_a_cube_is_named(tmp_path: Path) -> None:
     data = F[0].astype(">i2").tobytes()
     said = refused(tmp_path, "f.fits", head + data + bytes(-len(data) % 2880))
     assert "tables or images of two axes alone: give a file with a cube" in said
+
+
+def test_a_name_of_several_cubes_of_fits_chooses_none(tmp_path: Path) -> None:
+    astropy = pytest.importorskip("astropy.io.fits")
+    cubes = [astropy.ImageHDU(F + n, name=name) for n, name in enumerate(("SCI", "SCI", "DQ"))]
+    astropy.HDUList([astropy.PrimaryHDU(), *cubes]).writeto(tmp_path / "f.fits")
+    for part, added in (("dq", 2), ("2", 1)):
+        whole = open_file(tmp_path / "f.fits", {"part": part}).whole()
+        np.testing.assert_array_equal(whole, F + added)
+    with pytest.raises(VolumeError, match=r"holds no one cube: choose of '.*f.fits#1' SCI, "):
+        open_file(tmp_path / "f.fits", {"part": "sci"})
 
 
 def test_texts_that_name_each_other_are_no_headers(tmp_path: Path) -> None:

@@ -188,6 +188,23 @@ def test_latlong_inverts():
 
 
 @pytest.mark.parametrize("count", [1, 3, 7, 64, 500])
+def test_guides_of_rows_are_those_of_a_search(count):
+    """Also for shares next to k/n, whose product with n is rounded."""
+    random = np.random.default_rng(count)
+    places = np.arange(count + 1) / count
+    near = np.sort(random.choice(places, (150, count + 1)), axis=1)
+    near[::3] = np.nextafter(near[::3], 0.0)
+    near[1::3] = np.minimum(np.nextafter(near[1::3], 1.0), 1.0)
+    near[:, 0], near[:, -1] = 0.0, 1.0
+    expected = [
+        np.minimum(np.searchsorted(row, places, side="right") - 1, count - 1) for row in near
+    ]
+    guides = guide_of(near)
+    assert guides.dtype == np.int32
+    np.testing.assert_array_equal(guides, expected)
+
+
+@pytest.mark.parametrize("count", [1, 3, 7, 64, 500])
 def test_intervals_are_those_of_a_search(count):
     """With and without intervals of width 0, at the borders and between them."""
     for share in (0.0, 0.5, 0.95):
