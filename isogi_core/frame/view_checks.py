@@ -12,7 +12,7 @@ from isogi_core.bake.noise import RATE, Goal
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import surface_key
-from isogi_core.frame.rays.carried_light import MOST_CHANGE, TracedLight, TracedPoints, carried_key
+from isogi_core.frame.rays.carried_light import MOST_BENT, TracedLight, TracedPoints, carried_key
 from isogi_core.frame.rays.control_pixels import CONTROLS_IF_MISSED, FIRST_CONTROLS, paths_for
 from isogi_core.frame.rays.own_light import (
     PATHS_RATE,
@@ -100,7 +100,7 @@ class ViewChecks(Refinement[PictureCheck]):
         if found.growing:
             uncertainty = found.known.uncertainty
         elif found.known.by_paths:
-            uncertainty = frame.pixel_noise
+            uncertainty = np.hypot(frame.pixel_noise, doubt_of_carried(found, frame))
         else:
             uncertainty = self._uncertainty(frame, found, shot)
         # Light that was traced for other views comes first, as it costs no paths. A picture that
@@ -199,9 +199,7 @@ class ViewChecks(Refinement[PictureCheck]):
         if light.coloured:
             between *= light.tints(shot.gbuffer, shot.tiles) @ LUMINANCE_WEIGHTS
         between[known.own.places] = 0.0
-        # Light that was carried over is of a point nearby, and may change on the way.
-        carried = frame.luminance(shot.gbuffer.pixels[known.carried])
-        between[known.carried] = MOST_CHANGE * known.goal.error * carried
+        between[known.carried] = doubt_of_carried(check, frame)[known.carried]
         return np.asarray(np.hypot(between, frame.pixel_noise))
 
     def require_texels(self, view: View, goal: Goal) -> None:
@@ -250,6 +248,17 @@ class ViewChecks(Refinement[PictureCheck]):
             return PathsLeft()
         reading = frame.quality.lacking.reading
         return foreseen_work(frame, reading, goal.error, reading.effort)
+
+
+def doubt_of_carried(check: PictureCheck, frame: Frame) -> np.ndarray:
+    """Return the uncertain luminance of the points of a ``frame`` whose light was carried over, as
+    light may change unevenly on the way; 0 for the others; (m,).
+    """
+    places = check.known.carried
+    doubt = np.zeros(len(frame.gbuffer.pixels))
+    luminance = frame.luminance(frame.gbuffer.pixels[places])
+    doubt[places] = 0.5 * MOST_BENT * check.known.goal.error * luminance
+    return doubt
 
 
 def goal_of_texels(goal: Goal, view: View, known: PictureState | None) -> Goal:

@@ -2,12 +2,14 @@
 
 The surface reflects evenly to all sides, so the light of a point does not depend on the camera. A
 pixel of another view takes over the paths of the nearest point that an earlier view has traced, if
-that point is less than about a pixel away, and light changes little on the way. Control pixels
-measure the picture afterwards, so that light which was carried too far shows as error.
+both lie on one patch of the surface. On the way from one point to the other light is taken to
+change evenly, by its slope in the picture of the earlier view; where the slope itself changes, as
+at edges of shadows, no light is taken over. Control pixels measure the picture afterwards, so that
+light which was carried too far shows as error.
 """
 
 from dataclasses import dataclass
-from itertools import accumulate, product
+from itertools import accumulate
 from typing import Any, Self
 
 import numpy as np
@@ -24,19 +26,24 @@ MOST_VIEWS = 8
 MOST_BYTES = 64 << 20
 """Number of earlier views whose points are kept, and the bytes that they may take."""
 
-FARTHEST = 1.0
-"""Distance of two points, in pixels of the finer view, up to which one takes the other's light."""
+FARTHEST = 2.0
+FARTHEST_ASIDE = 0.5
+"""Distance of two points, in pixels of the finer view, up to which one takes the other's light, and
+the part of it along the normal. Points in one pixel are further apart than its side where the
+surface is seen from aside.
+"""
 
 LEAST_COSINE = 0.95
 """Least cosine of the angle between the normals of two such points: 18 degrees."""
 
-LEAST_NEIGHBOURS = 6
-"""Number of a pixel's eight neighbours whose light must be known to tell how light changes."""
-
-MOST_CHANGE = 2.5
-"""Largest relative change of light from one point to the other, in target errors: most changes are
-far smaller, and only a part of the pixels takes light over.
+MOST_BENT = 1.0
+"""Largest error of light that is carried along its slope, in target errors, if the slope changes
+halfway between two pixels: most errors are far smaller. With this bound carried light of the
+engine, CT head, carp and bonsai has the error of light that was traced for the same points.
 """
+
+DIRECTIONS = ((0, 1), (1, 0), (1, 1), (1, -1))
+"""Lines and columns from a pixel to one of each two that lie opposite each other."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +56,8 @@ class TracedPoints:
     - ``estimate``: sums of their paths; ``expected`` (k,): expected errors of the texels there.
     - ``shares`` (k,): shares of their light that were shown: below 1 in the rim of the chosen
       points, in which traced light fades out.
-    - ``changes`` (k,): largest relative change of light to a neighbouring pixel.
+    - ``slopes`` (k, 2, 3): change of their light from a column and from a line to the next one.
+    - ``bends`` (k,): largest relative change of such a slope: see ``bends_of``.
     """
 
     view: View
@@ -59,7 +67,8 @@ class TracedPoints:
     estimate: Estimate
     expected: np.ndarray
     shares: np.ndarray
-    changes: np.ndarray
+    slopes: np.ndarray
+    bends: np.ndarray
 
     @classmethod
     def of(cls, shot: Shot, own: PixelLight, carried: np.ndarray) -> Self:
@@ -67,10 +76,16 @@ class TracedPoints:
         the ``carried`` ones (rows of the G-buffer). Raises Cancelled.
         """
         gbuffer = shot.gbuffer
+        # See how light changes in the picture: carried light counts here, too.
+        pixels = gbuffer.pixels[own.places]
+        light = np.full((*gbuffer.shape, 3), np.nan)
+        light.reshape(-1, 3)[pixels] = own.light
         traced = ~np.isin(own.places, carried, assume_unique=True)
+        slopes = slopes_of(light).reshape(-1, 2, 3)[pixels[traced]]
+        bends = bends_of(light @ LUMINANCE_WEIGHTS).reshape(-1)[pixels[traced]]
         places = own.places[traced]
         rows = np.full(gbuffer.shape, -1, np.int32)
-        rows.reshape(-1)[gbuffer.pixels[places]] = np.arange(len(places), dtype=np.int32)
+        rows.reshape(-1)[pixels[traced]] = np.arange(len(places), dtype=np.int32)
         return cls(
             shot.view,
             rows,
@@ -79,22 +94,21 @@ class TracedPoints:
             own.estimate.part(traced),
             own.expected[places],
             np.broadcast_to(own.shares, own.places.shape)[traced],
-            changes_by_pixel(rows, own.light[traced] @ LUMINANCE_WEIGHTS),
+            slopes.astype(np.float32),
+            bends,
         )
 
     @property
     def nbytes(self) -> int:
         """The size of its arrays in bytes."""
-        arrays = (self.rows, self.points, self.normals, self.expected, self.shares, self.changes)
-        return self.estimate.nbytes + sum(each.nbytes for each in arrays)
+        arrays = (self.rows, self.points, self.normals, self.expected, self.shares)
+        return self.estimate.nbytes + sum(
+            each.nbytes for each in (*arrays, self.slopes, self.bends)
+        )
 
-    def pairs(
-        self, shot: Shot, points: np.ndarray, pixel_sides: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def pairs(self, shot: Shot, points: np.ndarray, pixel_sides: np.ndarray) -> "Pairs":
         """Match points of another ``shot`` with those that were traced for the pixels of this view
-        in which they lie. Return the rows of those that may take over light, ascending, the numbers
-        of the points whose light they take, and their distances in pixels of the finer view; (j,)
-        each. Raises Cancelled.
+        in which they lie; return the pairs of which one may take over light. Raises Cancelled.
 
         ``points`` (m, 3) are the positions of the shot's points in the volume's box, and
         ``pixel_sides`` (m,) the lengths of the sides of its pixels there.
@@ -107,19 +121,39 @@ class TracedPoints:
         numbers = self.rows[lines[places].astype(np.int64), columns[places].astype(np.int64)]
         places = places[numbers >= 0]
         numbers = numbers[numbers >= 0]
-        # The point traced there may lie far before or behind: take its light only if both are about
-        # a pixel apart, and face the same way.
-        finer = np.minimum(depths * self.view.camera.pixel_size(height), pixel_sides)
-        away = np.linalg.norm(points[places] - self.points[numbers], axis=1) / finer[places]
+        # The point traced there may lie far before or behind: take its light only if both lie on
+        # one patch of the surface, and face the same way.
+        finer = np.minimum(depths * self.view.camera.pixel_size(height), pixel_sides)[places]
+        ways = points[places] - self.points[numbers]
+        away = np.linalg.norm(ways, axis=1) / finer
+        aside = np.abs((ways * self.normals[numbers]).sum(axis=1)) / finer
         normals = shot.gbuffer.normals(shot.tiles)
         cosines = (normals[places] * self.normals[numbers]).sum(axis=1)
-        near = (away <= FARTHEST) & (cosines >= LEAST_COSINE)
-        # Leave out points at edges of shadows, where light changes within a part of a pixel, and
-        # those at the rim of the traced pixels, whose changes are unknown and thus infinite, at any
-        # distance.
-        least = np.finfo(np.float64).tiny
-        near &= self.changes[numbers] * np.maximum(away, least) <= MOST_CHANGE * shot.goal.error
-        return places[near], numbers[near], away[near]
+        near = (away <= FARTHEST) & (aside <= FARTHEST_ASIDE) & (cosines >= LEAST_COSINE)
+        # Carry light along its slope, from the middle of the pixel. On either side the slope may
+        # differ from it by half the bend. Leave out points at edges of shadows, where that is much,
+        # and at the rim of the known pixels, whose bends are infinite, at any distance.
+        offsets = np.column_stack([columns, lines])[places] % 1.0 - 0.5
+        ways_on = np.maximum(np.linalg.norm(offsets, axis=1), np.finfo(np.float64).tiny)
+        near &= self.bends[numbers] / 2.0 * ways_on <= MOST_BENT * shot.goal.error
+        numbers = numbers[near]
+        changes = np.einsum("kd,kdc->kc", offsets[near], self.slopes[numbers])
+        return Pairs(places[near], numbers, away[near], changes)
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """Points of a shot, and those of an earlier view whose light they may take over.
+
+    - ``places`` (j,): rows of the shot's points, ascending; ``numbers`` (j,): of the earlier ones.
+    - ``away`` (j,): their distances in pixels of the finer view.
+    - ``changes`` (j, 3): expected change of light on the way, linear RGB.
+    """
+
+    places: np.ndarray
+    numbers: np.ndarray
+    away: np.ndarray
+    changes: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,15 +195,17 @@ class TracedLight:
         counts = np.zeros(m, np.int64)
         expected = np.array(uncertainty, np.float64)
         shares = np.ones(m)
-        # Go through the views, and take for each point the paths of the nearest point.
+        # Go through the views, and take for each point the paths of the nearest point, and the
+        # change of light from there.
         for each in self.views:
-            places, numbers, away = each.pairs(shot, points, pixel_sides)
-            nearer = away < nearest[places]
-            places = places[nearer]
-            numbers = numbers[nearer]
-            nearest[places] = away[nearer]
-            sums[places] = each.estimate.sums[numbers]
+            pairs = each.pairs(shot, points, pixel_sides)
+            nearer = pairs.away < nearest[pairs.places]
+            places = pairs.places[nearer]
+            numbers = pairs.numbers[nearer]
+            nearest[places] = pairs.away[nearer]
             counts[places] = each.estimate.counts[numbers]
+            changes = counts[places, None] * pairs.changes[nearer]
+            sums[places] = each.estimate.sums[numbers] + changes[:, None]
             expected[places] = each.expected[numbers]
             shares[places] = each.shares[numbers]
         found = np.flatnonzero(nearest < np.inf)
@@ -181,27 +217,33 @@ class TracedLight:
         return PixelLight.of(found, estimate, paths, expected, shares[found])
 
 
-def changes_by_pixel(rows: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return the largest difference of each of the ``values`` (k,) from those of the eight pixels
-    around it, relative to the value; (k,).
-
-    It is infinite if fewer than LEAST_NEIGHBOURS of these have a value, as at the rim of the pixels
-    that were traced. ``rows`` (height, width) has the number of each pixel's value, -1 if it has
-    none.
+def slopes_of(light: np.ndarray) -> np.ndarray:
+    """Return half the difference of the ``light`` (height, width, 3) of the two pixels beside each
+    pixel, and of those above and below; (height, width, 2, 3), not finite where light is NaN or
+    ends.
     """
-    worst = np.zeros(len(values))
-    neighbours = np.zeros(len(values), np.int64)
-    padded = np.pad(rows, 1, constant_values=-1)
-    height, width = rows.shape
-    for dy, dx in product((-1, 0, 1), repeat=2):
-        other = padded[1 + dy : 1 + dy + height, 1 + dx : 1 + dx + width]
-        both = (rows >= 0) & (other >= 0)
-        here = rows[both]
-        worst[here] = np.maximum(worst[here], np.abs(values[here] - values[other[both]]))
-        neighbours[here] += 1
-    # A pixel was counted as a neighbour of itself.
-    worst[neighbours <= LEAST_NEIGHBOURS] = np.inf
-    return worst / np.maximum(values, np.finfo(np.float64).tiny)
+    padded = np.pad(light, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan)
+    across = padded[1:-1, 2:] - padded[1:-1, :-2]
+    down = padded[2:, 1:-1] - padded[:-2, 1:-1]
+    return np.asarray(np.stack([across, down], axis=2) / 2.0)
+
+
+def bends_of(luminance: np.ndarray) -> np.ndarray:
+    """Return the largest second difference of the ``luminance`` (height, width) along lines,
+    columns and diagonals through each pixel, relative to its own, for a step of the length of a
+    pixel's side; (height, width).
+
+    It is infinite for pixels with a neighbour whose luminance is NaN, and at the border.
+    """
+    height, width = luminance.shape
+    padded = np.pad(luminance, 1, constant_values=np.nan)
+    worst = np.zeros(luminance.shape)
+    for dy, dx in DIRECTIONS:
+        ahead = padded[1 + dy : 1 + dy + height, 1 + dx : 1 + dx + width]
+        behind = padded[1 - dy : 1 - dy + height, 1 - dx : 1 - dx + width]
+        worst = np.maximum(worst, np.abs(ahead + behind - 2.0 * luminance) / (dy**2 + dx**2))
+    worst /= np.maximum(luminance, np.finfo(np.float64).tiny)
+    return np.nan_to_num(worst, nan=np.inf, posinf=np.inf)
 
 
 def project(view: View, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

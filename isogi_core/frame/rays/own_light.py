@@ -6,7 +6,6 @@ picture's error comes to its target with the fewest paths. Traced light is filte
 ``pixel_filter``.
 """
 
-import math
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -64,6 +63,13 @@ at edges.
 
 Correcting the light of texels leaves 0.3 to 1 of that: all of it if texels are much noisier, so
 that no gain is counted on.
+"""
+
+
+MOST_AHEAD = 4.0
+LEAST_MORE = 1.25
+"""Largest ratio of the paths of points that began without light to those of points to which light
+was carried over, before these take more paths, too; and the least factor on them then.
 """
 
 
@@ -175,14 +181,14 @@ class PixelLight:
     def grown(
         self,
         choice: "Choice",
-        count: int,
+        wanted: np.ndarray,
         light: RotatedLight,
         gbuffer: GBuffer,
         tiles: Tiles,
         progress: Callable[[int], object] | None = None,
     ) -> "PixelLight":
-        """Return the light of the points of a ``choice`` after ``count`` paths of each replica;
-        paths that were traced before are kept. Raises Cancelled.
+        """Return the light of the points of a ``choice`` once each replica has the ``wanted`` (k,)
+        numbers of paths; paths that were traced before are kept. Raises Cancelled.
 
         ``progress`` is called with the number of paths that each piece traced.
         """
@@ -196,13 +202,15 @@ class PixelLight:
         kept = np.isin(self.places, places, assume_unique=True)
         estimate.sums[known] = self.estimate.sums[kept]
         estimate.counts[known] = self.estimate.counts[kept]
-        # Points that join have no paths yet: trace each group of equal counts up to ``count``.
-        for first in np.unique(estimate.counts[estimate.counts < count]).tolist():
-            rows = np.flatnonzero(estimate.counts == first)
+        # Points that join have no paths yet: trace together those that have the same number of
+        # paths, and are to have the same number.
+        spans = np.column_stack([estimate.counts, wanted])
+        for first, last in np.unique(spans[wanted > estimate.counts], axis=0).tolist():
+            rows = np.flatnonzero((spans == (first, last)).all(axis=1))
             some = estimate.sums[rows]
-            paths.of(rows).add(some, streams.PIXEL_LIGHT_STREAM, first, count - first, progress)
+            paths.of(rows).add(some, streams.PIXEL_LIGHT_STREAM, first, last - first, progress)
             estimate.sums[rows] = some
-            estimate.counts[rows] = count
+            estimate.counts[rows] = last
         return PixelLight.of(places, estimate, paths, expected, choice.shares)
 
     def without(
@@ -297,6 +305,8 @@ class Choice:
     - ``count``: paths of each replica which that is expected to take.
     - ``errors`` (m,): expected error of the texels' luminance at all points.
     - ``shares`` (k,): shares of their light that are to be shown, or one number for all.
+    - ``noise``: root mean square of their noise that is to be reached, relative to their mean
+      luminance; None if the ``variance`` tells it.
     """
 
     places: np.ndarray
@@ -304,6 +314,15 @@ class Choice:
     count: float
     errors: np.ndarray
     shares: np.ndarray | float = 1.0
+    noise: float | None = None
+
+    def allowed(self, light: "PixelLight") -> float:
+        """Return the sum of variances that the ``light`` of its points is to reach."""
+        if self.noise is None:
+            return self.variance
+        # Few controls tell the mean luminance of the picture less exactly than its light.
+        mean = float((light.light @ LUMINANCE_WEIGHTS).mean())
+        return len(light.places) * (self.noise * mean) ** 2
 
     @property
     def paths(self) -> float:
@@ -335,6 +354,7 @@ class Choice:
 class Growth:
     """The ``light`` that the points of a ``choice`` have so far.
 
+    - ``earlier`` (j,): rows of the points that had light before it began, as from other views.
     - ``shown``: True if the picture shows the light of each step. It has no other light then, so
       that the first step is a short one; and there are few steps, as each costs a picture.
     - ``traced``: number of paths of the step that is under way.
@@ -343,8 +363,16 @@ class Growth:
     choice: Choice
     light: PixelLight
     shown: bool = False
+    earlier: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))
     traced: int = 0
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
+
+    @classmethod
+    def begun(cls, choice: Choice, light: PixelLight, shown: bool = False) -> "Growth":
+        """Return the growth of the points of a ``choice`` that begins with the ``light`` of some of
+        them.
+        """
+        return cls(choice, light, shown, light.places)
 
     @property
     def nbytes(self) -> int:
@@ -354,7 +382,7 @@ class Growth:
     @property
     def enough(self) -> bool:
         """True if the noise of the points is as small as the choice asks."""
-        return bool(self.light.variance.sum() <= self.choice.variance)
+        return bool(self.light.variance.sum() <= self.choice.allowed(self.light))
 
     @property
     def has_new(self) -> bool:
@@ -362,37 +390,77 @@ class Growth:
         return len(self.light.places) < len(self.choice.places)
 
     @property
-    def wanted(self) -> float:
-        """Paths of each replica that are needed in all, predicted from the noise of those
-        traced so far.
-        """
-        if self.has_new:
-            return self.choice.count
-        more = float(times_as_many(float(self.light.variance.sum()), self.choice.variance))
-        return min(self.light.count * more, MOST_PATHS)
+    def _began_with_light(self) -> np.ndarray:
+        """Marks (k,) of the points that had light before the growth began."""
+        return np.isin(self.light.places, self.earlier, assume_unique=True)
 
     @property
-    def next(self) -> int:
-        """Paths of each replica after the next step.
+    def _wanted(self) -> np.ndarray:
+        """Paths of each replica of each point with light that are needed in all, predicted from the
+        noise of those traced so far; (k,).
 
-        First, points with fewer paths catch up with the others. Then paths grow to the number that
-        is wanted, but at most to twice as many, so that a cancelled step loses little, and at least
-        by an eighth, so that few steps are needed. If each step is shown, points catch up in
-        several of them, and paths grow faster. The last step ends at MOST_PATHS.
+        If points began without light, they alone are to grow: light that was carried over came by
+        other random numbers, so that few paths more reduce its noise but little. All points grow if
+        it is too noisy for that.
         """
-        before = self.light.count
-        factor = 2
+        counts = self.light.estimate.counts
+        variance = self.light.variance
+        began = self._began_with_light
+        if began.any() and not began.all():
+            room = self.choice.allowed(self.light) - float(variance[began].sum())
+            new = float(counts[~began].mean())
+            wanted = new * float(times_as_many(float(variance[~began].sum()), room))
+            if wanted <= MOST_AHEAD * float(counts[began].mean()):
+                return np.where(began, counts, wanted)
+        allowed = self.choice.allowed(self.light)
+        more = float(times_as_many(float(variance.sum()), allowed))
+        if began.any():
+            more = max(more, LEAST_MORE)
+        return np.minimum(counts * more, MOST_PATHS)
+
+    @property
+    def next(self) -> np.ndarray:
+        """Paths of each replica of each point of the choice after the next step; (k,) int64.
+
+        Points without light come first, until they have as many paths as the others had. Then paths
+        grow to the number that is wanted, but at most to twice as many, so that a cancelled step
+        loses little, and at least by an eighth, so that few steps are needed. If each step is
+        shown, they grow faster. The last step ends at MOST_PATHS.
+        """
+        counts = self.light.estimate.counts
+        if self.has_new:
+            return self._with_first_paths
+        factor = SHOWN_FACTOR if self.shown else 2
+        began = self._began_with_light
+        # Points that began without light catch up with the others, in several steps.
+        if began.any() and not began.all():
+            new = int(counts[~began].min())
+            others = int(counts[began].mean())
+            if new < others:
+                return np.where(began, counts, np.maximum(counts, min(factor * new, others)))
+        # Points that want no more paths keep those they have, unless that is so of all.
+        wanted = np.ceil(self._wanted).astype(np.int64)
+        growing = wanted > counts
+        if not growing.any():
+            growing[:] = True
+        least = counts + np.maximum(counts // 8, 1)
+        after = np.minimum(np.maximum(wanted, least), np.minimum(factor * counts, MOST_PATHS))
+        return np.where(growing, after, counts)
+
+    @property
+    def _with_first_paths(self) -> np.ndarray:
+        """Paths of each replica of each point of the choice once those without light have some;
+        (k,) int64. Points with light keep the paths that they have.
+        """
         if self.shown:
-            factor = SHOWN_FACTOR
-            if self.has_new:
-                return FIRST_SHOWN_PATHS
-            fewest = self.light.estimate.fewest
-            if fewest < before:
-                return min(factor * fewest, before)
-        elif self.has_new:
-            return max(before, FIRST_PATHS)
-        least = before + max(before // 8, 1)
-        return min(factor * before, max(math.ceil(self.wanted), least), MOST_PATHS)
+            first = FIRST_SHOWN_PATHS
+        else:
+            first = max(self.light.count, FIRST_PATHS)
+        after = np.full(len(self.choice.places), first, np.int64)
+        known = np.isin(self.choice.places, self.light.places, assume_unique=True)
+        kept = np.isin(self.light.places, self.choice.places, assume_unique=True)
+        after[known] = self.light.estimate.counts[kept]
+        return after
 
     @property
     def exhausted(self) -> bool:
@@ -402,8 +470,13 @@ class Growth:
     @property
     def left(self) -> float:
         """Paths that remain to be traced, of all points together."""
-        whole = REPLICAS * self.wanted * len(self.choice.places)
-        return max(whole - self.light.paths - self.traced, 0.0)
+        counts = self.light.estimate.counts
+        if self.has_new:
+            new = len(self.choice.places) - len(self.light.places)
+            paths = self.choice.count * new + float((self.choice.count - counts).clip(0.0).sum())
+        else:
+            paths = float((self._wanted - counts).clip(0.0).sum())
+        return max(REPLICAS * paths - self.traced, 0.0)
 
     def note(self, paths: int) -> None:
         """Count more ``paths`` as traced. Called from several threads."""
@@ -452,7 +525,8 @@ def all_points(points: int, error: float, target: float, mean: float, effort: fl
     """
     variance = points * (AIM_OF_PATHS * target * mean) ** 2
     count = max(paths_alone(1, effort, target) / REPLICAS, 1.0)
-    return Choice(np.arange(points), variance, count, np.full(points, error * mean))
+    errors = np.full(points, error * mean)
+    return Choice(np.arange(points), variance, count, errors, noise=AIM_OF_PATHS * target)
 
 
 def paths_alone(points: int, effort: float, target: float) -> float:

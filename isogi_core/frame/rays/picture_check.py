@@ -39,7 +39,7 @@ from isogi_core.frame.rays.control_pixels import (
     trace_controls,
     variance_of_halves,
 )
-from isogi_core.frame.rays.own_light import AIM, MOST_PATHS, Choice, Growth, PixelLight
+from isogi_core.frame.rays.own_light import AIM, Choice, Growth, PixelLight
 from isogi_core.frame.rays.picture_plan import (
     QUIETER,
     Ahead,
@@ -200,7 +200,10 @@ class PictureCheck:
         self.ahead = plan.ahead(first, last)
         if plan.rungs:
             return not plan.finer and self._climb(frame, rungs_at_once(plan.rungs, climbs, first))
-        return self._grow(Growth(plan.choice, self.known.own), frame.gbuffer, tiles)
+        growth = Growth.begun(plan.choice, self.known.own)
+        if self.known.by_paths and len(self.known.carried):
+            growth = replace(growth, earlier=self.known.carried)
+        return self._grow(growth, frame.gbuffer, tiles)
 
     def scout(self, gbuffer: GBuffer, tiles: Tiles) -> "Scouted":
         """Trace a few controls, drawn evenly from a picture that has no light yet, and return what
@@ -230,7 +233,7 @@ class PictureCheck:
         """
         self.whole = choice
         self.known = replace(self.known, own=carried, carried=carried.places, by_paths=True)
-        self.growing = Growth(choice, carried, shown=True)
+        self.growing = Growth.begun(choice, carried, shown=True)
         self.ahead = Ahead(2.0 * paths_for(self.known.goal.error) * FIRST_CONTROLS, times=1)
 
     def decline(self) -> None:
@@ -466,12 +469,12 @@ class PictureCheck:
         """
         if growth.exhausted:
             return False
-        count = growth.next
+        wanted = growth.next
         # Count the paths of this step apart, so that other threads see its progress.
         self.growing = replace(growth, traced=0)
         begun = time.perf_counter()
         light = growth.light.grown(
-            growth.choice, count, self.light, gbuffer, tiles, self.growing.note
+            growth.choice, wanted, self.light, gbuffer, tiles, self.growing.note
         )
         self.pace = (time.perf_counter() - begun) / max(self.growing.traced, 1)
         self.growing = replace(growth, light=light, traced=0)
@@ -482,7 +485,7 @@ class PictureCheck:
             self.known = replace(self.known, own=light, carried=carried, drawn=0)
         # The light is good enough: show it, and drop the controls, which measured the picture
         # without it.
-        if count == MOST_PATHS or self.growing.enough:
+        if self.growing.exhausted or self.growing.enough:
             known = self.known
             self.known = PictureState(
                 known.goal,
@@ -518,6 +521,6 @@ class PictureCheck:
         # A picture by paths has nothing else to show until the first step of the new growth.
         if known.by_paths and self.whole is not None:
             self.known = replace(known, drawn=0)
-            self.growing = Growth(self.whole, own, shown=True)
+            self.growing = Growth.begun(self.whole, own, shown=True)
         else:
             self.known = PictureState(known.goal, own=own, attempt=known.attempt, by_paths=False)

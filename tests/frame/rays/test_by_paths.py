@@ -175,14 +175,28 @@ def test_steps_grow_from_few_paths() -> None:
     """The first is short; points that joined late catch up in several steps."""
     choice = all_points(2, 0.05, 0.02, 1.0, 0.5)
     growth = Growth(choice, PixelLight.none(), shown=True)
-    assert growth.next == 8
-    known = replace(PixelLight.none(), places=np.arange(2), variance=np.full(2, 1.0))
-    for counts, expected in (([8, 60], 32), ([32, 60], 60), ([8, 8], 32)):
+    assert growth.next.tolist() == [8, 8]
+    known = replace(
+        PixelLight.none(), places=np.arange(2), light=np.ones((2, 3)), variance=np.ones(2)
+    )
+    for counts, expected in (
+        ([8, 60], [32, 60]),
+        ([32, 60], [60, 60]),
+        ([8, 8], [32, 32]),
+    ):
         estimate = replace(
             PixelLight.none().estimate, sums=np.zeros((2, 2, 3)), counts=np.array(counts)
         )
         light = replace(known, estimate=estimate)
-        assert Growth(choice, light, shown=True).next == expected
+        growth = Growth(choice, light, shown=True, earlier=np.array([1]))
+        assert growth.next.tolist() == expected
+
+
+def test_noise_is_compared_with_the_light_that_is_shown() -> None:
+    """Its mean is known better than that of the few controls by which the light was chosen."""
+    choice = all_points(2, 0.05, 0.02, 1.0, 0.5)
+    light = replace(PixelLight.none(), places=np.arange(2), light=np.full((2, 3), 3.0))
+    assert choice.allowed(light) == pytest.approx(9.0 * choice.variance)
 
 
 def test_all_points_are_foreseen_at_the_paths_of_their_choice() -> None:

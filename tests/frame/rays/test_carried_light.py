@@ -12,9 +12,10 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.carried_light import (
     TracedPoints,
+    bends_of,
     carried_key,
-    changes_by_pixel,
     project,
+    slopes_of,
 )
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import View, quaternion_from_angles
@@ -146,16 +147,30 @@ def test_points_project_to_their_pixels(bench: Workbench) -> None:
     np.testing.assert_allclose(columns % 1.0, 0.5, atol=1e-3)
 
 
-def test_changes_are_those_to_the_eight_neighbours() -> None:
-    """Light at a rim, of which too few neighbours are known, may change by any amount."""
-    rows = np.arange(9, dtype=np.int32).reshape(3, 3)
-    values = np.array([1.0, 1.5, 0.5, 9.0, 2.0, 2.0, 2.0, 1.0, 3.0])
-    changes = changes_by_pixel(rows, values)
-    assert changes[4] == 3.5 and np.isinf(np.delete(changes, 4)).all()
-    rows[0, 0] = -1
-    assert changes_by_pixel(rows, values)[4] == 3.5
-    rows[0, :] = -1
-    assert np.isinf(changes_by_pixel(rows, values)[4])
+def test_light_of_a_plane_is_carried_without_error() -> None:
+    """Its slopes are exact, and it does not bend; at the border both are unknown."""
+    lines, columns = np.mgrid[:5, :6].astype(float)
+    plane = 2.0 + 0.5 * columns - 0.25 * lines
+    slopes = slopes_of(np.repeat(plane[..., None], 3, axis=2))
+    assert slopes.shape == (5, 6, 2, 3)
+    np.testing.assert_allclose(slopes[1:-1, 1:-1, 0], 0.5)
+    np.testing.assert_allclose(slopes[1:-1, 1:-1, 1], -0.25)
+    bends = bends_of(plane)
+    np.testing.assert_allclose(bends[1:-1, 1:-1], 0.0, atol=1e-15)
+    bends[1:-1, 1:-1] = np.inf
+    assert np.isinf(bends).all()
+
+
+def test_bends_are_second_differences_relative_to_light() -> None:
+    lines, columns = np.mgrid[:5, :5].astype(float)
+    bends = bends_of(4.0 + columns**2)
+    assert bends[2, 2] == 2.0 / 8.0
+    # Along a diagonal both coordinates change, over √2 of the length.
+    bends = bends_of(4.0 + columns * lines)
+    assert bends[2, 2] == 1.0 / 8.0
+    hole = 4.0 + columns
+    hole[1, 1] = np.nan
+    assert np.isinf(bends_of(hole)[:3, :3]).all() and bends_of(hole)[3, 3] == 0.0
 
 
 @pytest.mark.usefixtures("always")
@@ -167,9 +182,9 @@ def test_points_at_rims_are_not_taken_even_at_no_distance(bench: Workbench) -> N
     shot = bench.renderer.surface.shot(view, first.gbuffer, Goal(TARGET), bench.renderer.tiles)
     known = first.quality.known
     points = TracedPoints.of(shot, known.own, known.carried)
-    assert np.isinf(points.changes).any() and np.isfinite(points.changes).any()
+    assert np.isinf(points.bends).any() and np.isfinite(points.bends).any()
     box = first.gbuffer.points * np.array(first.gbuffer.spacing)
     sides = project(view, box)[2] * view.camera.pixel_size(view.height)
-    _, numbers, away = points.pairs(shot, box, sides)
-    assert len(numbers) and not away.any()
-    assert np.isfinite(points.changes[numbers]).all()
+    pairs = points.pairs(shot, box, sides)
+    assert len(pairs.numbers) and not pairs.away.any()
+    assert np.isfinite(points.bends[pairs.numbers]).all()
