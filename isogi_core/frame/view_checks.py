@@ -257,6 +257,7 @@ def doubt_of_carried(check: PictureCheck, frame: Frame) -> np.ndarray:
     places = check.known.carried
     doubt = np.zeros(len(frame.gbuffer.pixels))
     luminance = frame.luminance(frame.gbuffer.pixels[places])
+    # On average light errs by half of the largest error that is allowed, or less.
     doubt[places] = 0.5 * MOST_BENT * check.known.goal.error * luminance
     return doubt
 

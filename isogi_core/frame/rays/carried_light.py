@@ -30,20 +30,21 @@ FARTHEST = 2.0
 FARTHEST_ASIDE = 0.5
 """Distance of two points, in pixels of the finer view, up to which one takes the other's light, and
 the part of it along the normal. Points in one pixel are further apart than its side where the
-surface is seen from aside.
+surface is seen at a grazing angle.
 """
 
 LEAST_COSINE = 0.95
 """Least cosine of the angle between the normals of two such points: 18 degrees."""
 
 MOST_BENT = 1.0
-"""Largest error of light that is carried along its slope, in target errors, if the slope changes
-halfway between two pixels: most errors are far smaller. With this bound carried light of the
-engine, CT head, carp and bonsai has the error of light that was traced for the same points.
+"""Largest half of a bend, times the distance in pixels, over which light is carried, in target
+errors: the error if the slope of light changes at the point; most errors are far smaller. With this
+bound carried light of the engine, CT head, carp and bonsai has the error of light that was traced
+for the same points.
 """
 
 DIRECTIONS = ((0, 1), (1, 0), (1, 1), (1, -1))
-"""Lines and columns from a pixel to one of each two that lie opposite each other."""
+"""Lines and columns from a pixel to four of the eight around it; the others lie opposite these."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +58,7 @@ class TracedPoints:
     - ``shares`` (k,): shares of their light that were shown: below 1 in the rim of the chosen
       points, in which traced light fades out.
     - ``slopes`` (k, 2, 3): change of their light from a column and from a line to the next one.
-    - ``bends`` (k,): largest relative change of such a slope: see ``bends_of``.
+    - ``bends`` (k,): largest relative change of such a slope: see ``Neighbours.bends``.
     """
 
     view: View
@@ -76,13 +77,12 @@ class TracedPoints:
         the ``carried`` ones (rows of the G-buffer). Raises Cancelled.
         """
         gbuffer = shot.gbuffer
+        traced = ~np.isin(own.places, carried, assume_unique=True)
         # See how light changes in the picture: carried light counts here, too.
         pixels = gbuffer.pixels[own.places]
-        light = np.full((*gbuffer.shape, 3), np.nan)
-        light.reshape(-1, 3)[pixels] = own.light
-        traced = ~np.isin(own.places, carried, assume_unique=True)
-        slopes = slopes_of(light).reshape(-1, 2, 3)[pixels[traced]]
-        bends = bends_of(light @ LUMINANCE_WEIGHTS).reshape(-1)[pixels[traced]]
+        numbers = np.full(gbuffer.shape, -1, np.int32)
+        numbers.reshape(-1)[pixels] = np.arange(len(pixels), dtype=np.int32)
+        around = Neighbours(numbers, own.light, pixels[traced])
         places = own.places[traced]
         rows = np.full(gbuffer.shape, -1, np.int32)
         rows.reshape(-1)[pixels[traced]] = np.arange(len(places), dtype=np.int32)
@@ -94,8 +94,8 @@ class TracedPoints:
             own.estimate.part(traced),
             own.expected[places],
             np.broadcast_to(own.shares, own.places.shape)[traced],
-            slopes.astype(np.float32),
-            bends,
+            around.slopes.astype(np.float32),
+            around.bends.astype(np.float32),
         )
 
     @property
@@ -131,11 +131,11 @@ class TracedPoints:
         cosines = (normals[places] * self.normals[numbers]).sum(axis=1)
         near = (away <= FARTHEST) & (aside <= FARTHEST_ASIDE) & (cosines >= LEAST_COSINE)
         # Carry light along its slope, from the middle of the pixel. On either side the slope may
-        # differ from it by half the bend. Leave out points at edges of shadows, where that is much,
-        # and at the rim of the known pixels, whose bends are infinite, at any distance.
+        # differ from it by half the bend. Leave out points at edges of shadows, where bends are
+        # large, and at the rim of the known pixels, where they are infinite, at any distance.
         offsets = np.column_stack([columns, lines])[places] % 1.0 - 0.5
-        ways_on = np.maximum(np.linalg.norm(offsets, axis=1), np.finfo(np.float64).tiny)
-        near &= self.bends[numbers] / 2.0 * ways_on <= MOST_BENT * shot.goal.error
+        distances = np.maximum(np.linalg.norm(offsets, axis=1), np.finfo(np.float64).tiny)
+        near &= self.bends[numbers] / 2.0 * distances <= MOST_BENT * shot.goal.error
         numbers = numbers[near]
         changes = np.einsum("kd,kdc->kc", offsets[near], self.slopes[numbers])
         return Pairs(places[near], numbers, away[near], changes)
@@ -168,10 +168,16 @@ class TracedLight:
         return sum(each.nbytes for each in self.views)
 
     def joined(self, newest: TracedPoints) -> "TracedLight":
-        """Return this light with the points of the ``newest`` view, which replace older ones of the
-        same view. At most MOST_VIEWS views and MOST_BYTES are kept, and the newest in any case.
+        """Return this light with the points of the ``newest`` view. Of the same view, as at another
+        target, the larger number of points is kept. At most MOST_VIEWS views and MOST_BYTES are
+        kept, and the newest in any case.
         """
-        others = [each for each in self.views if each.view != newest.view]
+        others = []
+        for each in self.views:
+            if each.view != newest.view:
+                others.append(each)
+            elif len(each.points) > len(newest.points):
+                newest = each
         # Keep the newest views whose sizes together are within the limit.
         sizes = accumulate((each.nbytes for each in others), initial=newest.nbytes)
         next(sizes)
@@ -217,33 +223,49 @@ class TracedLight:
         return PixelLight.of(found, estimate, paths, expected, shares[found])
 
 
-def slopes_of(light: np.ndarray) -> np.ndarray:
-    """Return half the difference of the ``light`` (height, width, 3) of the two pixels beside each
-    pixel, and of those above and below; (height, width, 2, 3), not finite where light is NaN or
-    ends.
+class Neighbours:
+    """The light of the eight pixels around each of some ``pixels`` (j,), numbered along the lines.
+
+    ``numbers`` (height, width) has the row of each pixel in ``light`` (k, 3), -1 if it has none.
     """
-    padded = np.pad(light, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan)
-    across = padded[1:-1, 2:] - padded[1:-1, :-2]
-    down = padded[2:, 1:-1] - padded[:-2, 1:-1]
-    return np.asarray(np.stack([across, down], axis=2) / 2.0)
 
+    def __init__(self, numbers: np.ndarray, light: np.ndarray, pixels: np.ndarray) -> None:
+        self._numbers = np.pad(numbers, 1, constant_values=-1)
+        # The last row, number -1, stands for pixels without light.
+        self._light = np.vstack([light, np.full((1, 3), np.nan)])
+        self._lines, self._columns = np.divmod(pixels.astype(np.int64), numbers.shape[1])
 
-def bends_of(luminance: np.ndarray) -> np.ndarray:
-    """Return the largest second difference of the ``luminance`` (height, width) along lines,
-    columns and diagonals through each pixel, relative to its own, for a step of the length of a
-    pixel's side; (height, width).
+    def at(self, dy: int, dx: int) -> np.ndarray:
+        """Return the light of the pixels so many lines and columns away, at most one; (j, 3), NaN
+        if there is none.
+        """
+        rows = self._numbers[self._lines + 1 + dy, self._columns + 1 + dx]
+        return np.asarray(self._light[rows])
 
-    It is infinite for pixels with a neighbour whose luminance is NaN, and at the border.
-    """
-    height, width = luminance.shape
-    padded = np.pad(luminance, 1, constant_values=np.nan)
-    worst = np.zeros(luminance.shape)
-    for dy, dx in DIRECTIONS:
-        ahead = padded[1 + dy : 1 + dy + height, 1 + dx : 1 + dx + width]
-        behind = padded[1 - dy : 1 - dy + height, 1 - dx : 1 - dx + width]
-        worst = np.maximum(worst, np.abs(ahead + behind - 2.0 * luminance) / (dy**2 + dx**2))
-    worst /= np.maximum(luminance, np.finfo(np.float64).tiny)
-    return np.nan_to_num(worst, nan=np.inf, posinf=np.inf)
+    @property
+    def slopes(self) -> np.ndarray:
+        """Half the difference of light from the left to the right neighbour of each pixel, and from
+        the upper to the lower one; (j, 2, 3), NaN if one has no light.
+        """
+        across = self.at(0, 1) - self.at(0, -1)
+        down = self.at(1, 0) - self.at(-1, 0)
+        return np.asarray(np.stack([across, down], axis=1) / 2.0)
+
+    @property
+    def bends(self) -> np.ndarray:
+        """The largest second difference of light in the four directions through each pixel, in any
+        colour, relative to the luminance of the pixel; (j,).
+
+        It is for steps as long as the side of a pixel, so those along diagonals count half. It is
+        infinite if one of the eight neighbours has no light.
+        """
+        here = self.at(0, 0)
+        worst = np.zeros(len(here))
+        for dy, dx in DIRECTIONS:
+            bent = self.at(dy, dx) + self.at(-dy, -dx) - 2.0 * here
+            worst = np.maximum(worst, np.abs(bent).max(axis=1) / (dy**2 + dx**2))
+        worst /= np.maximum(here @ LUMINANCE_WEIGHTS, np.finfo(np.float64).tiny)
+        return np.nan_to_num(worst, nan=np.inf, posinf=np.inf)
 
 
 def project(view: View, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

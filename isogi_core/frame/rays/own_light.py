@@ -68,8 +68,9 @@ that no gain is counted on.
 
 MOST_AHEAD = 4.0
 LEAST_MORE = 1.25
-"""Largest ratio of the paths of points that began without light to those of points to which light
-was carried over, before these take more paths, too; and the least factor on them then.
+"""Largest ratio of the paths of points that began without light to those of points with light of
+other views, before these take more paths, too; and the least factor on the paths of these, once
+they take more.
 """
 
 
@@ -110,8 +111,8 @@ class PixelLight:
     """Light of k surface points that was traced for them.
 
     - ``places`` (k,): rows of the points, ascending.
-    - ``estimate``: sums of REPLICAS replicas of paths. If light was carried here from other views,
-      points have different numbers of paths until those with fewer have caught up.
+    - ``estimate``: sums of REPLICAS replicas of paths. Points have different numbers of paths if
+      some began with light: see ``Growth``.
     - ``light`` (k, 3): linear RGB that they show, filtered.
     - ``variance`` (k,): variance of its luminance.
     - ``probes`` (k, contrasts): luminances with the distribution of its noise.
@@ -204,9 +205,10 @@ class PixelLight:
         estimate.counts[known] = self.estimate.counts[kept]
         # Points that join have no paths yet: trace together those that have the same number of
         # paths, and are to have the same number.
-        spans = np.column_stack([estimate.counts, wanted])
-        for first, last in np.unique(spans[wanted > estimate.counts], axis=0).tolist():
-            rows = np.flatnonzero((spans == (first, last)).all(axis=1))
+        spans = estimate.counts * (MOST_PATHS + 1) + wanted
+        for span in np.unique(spans[wanted > estimate.counts]).tolist():
+            first, last = divmod(span, MOST_PATHS + 1)
+            rows = np.flatnonzero(spans == span)
             some = estimate.sums[rows]
             paths.of(rows).add(some, streams.PIXEL_LIGHT_STREAM, first, last - first, progress)
             estimate.sums[rows] = some
@@ -301,12 +303,12 @@ def times_as_many(found: np.ndarray | float, allowed: np.ndarray | float) -> np.
 class Choice:
     """The points at ``places`` (k,), ascending, that are to have light of their own.
 
-    - ``variance``: sum of their variances that is to be reached.
+    - ``variance``: sum of their variances that is to be reached, unless ``noise`` is given.
     - ``count``: paths of each replica which that is expected to take.
     - ``errors`` (m,): expected error of the texels' luminance at all points.
     - ``shares`` (k,): shares of their light that are to be shown, or one number for all.
     - ``noise``: root mean square of their noise that is to be reached, relative to their mean
-      luminance; None if the ``variance`` tells it.
+      luminance; None if that is the ``variance``.
     """
 
     places: np.ndarray
@@ -354,7 +356,8 @@ class Choice:
 class Growth:
     """The ``light`` that the points of a ``choice`` have so far.
 
-    - ``earlier`` (j,): rows of the points that had light before it began, as from other views.
+    - ``earlier`` (j,): rows of the points with light of other views, or of an earlier growth: they
+      take more paths only if the others cannot make up for their noise.
     - ``shown``: True if the picture shows the light of each step. It has no other light then, so
       that the first step is a short one; and there are few steps, as each costs a picture.
     - ``traced``: number of paths of the step that is under way.
@@ -366,13 +369,6 @@ class Growth:
     earlier: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))
     traced: int = 0
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
-
-    @classmethod
-    def begun(cls, choice: Choice, light: PixelLight, shown: bool = False) -> "Growth":
-        """Return the growth of the points of a ``choice`` that begins with the ``light`` of some of
-        them.
-        """
-        return cls(choice, light, shown, light.places)
 
     @property
     def nbytes(self) -> int:
@@ -406,13 +402,15 @@ class Growth:
         counts = self.light.estimate.counts
         variance = self.light.variance
         began = self._began_with_light
-        if began.any() and not began.all():
-            room = self.choice.allowed(self.light) - float(variance[began].sum())
-            new = float(counts[~began].mean())
-            wanted = new * float(times_as_many(float(variance[~began].sum()), room))
-            if wanted <= MOST_AHEAD * float(counts[began].mean()):
-                return np.where(began, counts, wanted)
         allowed = self.choice.allowed(self.light)
+        if began.any() and not began.all():
+            room = allowed - float(variance[began].sum())
+            most = min(MOST_AHEAD * float(counts[began].mean()), MOST_PATHS - 1)
+            if room > 0.0:
+                new = float(counts[~began].mean())
+                wanted = new * float(times_as_many(float(variance[~began].sum()), room))
+                if wanted <= most:
+                    return np.where(began, counts, wanted)
         more = float(times_as_many(float(variance.sum()), allowed))
         if began.any():
             more = max(more, LEAST_MORE)
@@ -455,7 +453,8 @@ class Growth:
         if self.shown:
             first = FIRST_SHOWN_PATHS
         else:
-            first = max(self.light.count, FIRST_PATHS)
+            counts = self.light.estimate.counts
+            first = max(int(counts.mean()) if len(counts) else 0, FIRST_PATHS)
         after = np.full(len(self.choice.places), first, np.int64)
         known = np.isin(self.choice.places, self.light.places, assume_unique=True)
         kept = np.isin(self.light.places, self.choice.places, assume_unique=True)
@@ -473,7 +472,8 @@ class Growth:
         counts = self.light.estimate.counts
         if self.has_new:
             new = len(self.choice.places) - len(self.light.places)
-            paths = self.choice.count * new + float((self.choice.count - counts).clip(0.0).sum())
+            others = counts[~self._began_with_light]
+            paths = self.choice.count * new + float((self.choice.count - others).clip(0.0).sum())
         else:
             paths = float((self._wanted - counts).clip(0.0).sum())
         return max(REPLICAS * paths - self.traced, 0.0)

@@ -70,7 +70,7 @@ the controls are in doubt, not the light.
 CARRIED_ATTEMPTS = 1
 CARRIED_ATTEMPTS_BY_PATHS = 2
 """Attempts with light that was carried over from other views, before it is dropped; and the same if
-paths alone light the picture, where all points take more paths in the second attempt.
+paths alone light the picture, as points that took nothing over make up for the others first.
 """
 
 EARLY_PATHS = 64
@@ -200,9 +200,8 @@ class PictureCheck:
         self.ahead = plan.ahead(first, last)
         if plan.rungs:
             return not plan.finer and self._climb(frame, rungs_at_once(plan.rungs, climbs, first))
-        growth = Growth.begun(plan.choice, self.known.own)
-        if self.known.by_paths and len(self.known.carried):
-            growth = replace(growth, earlier=self.known.carried)
+        # Light of other views gains little by a few paths more: points without it come first.
+        growth = Growth(plan.choice, self.known.own, earlier=self.known.carried)
         return self._grow(growth, frame.gbuffer, tiles)
 
     def scout(self, gbuffer: GBuffer, tiles: Tiles) -> "Scouted":
@@ -233,7 +232,7 @@ class PictureCheck:
         """
         self.whole = choice
         self.known = replace(self.known, own=carried, carried=carried.places, by_paths=True)
-        self.growing = Growth.begun(choice, carried, shown=True)
+        self.growing = Growth(choice, carried, shown=True, earlier=carried.places)
         self.ahead = Ahead(2.0 * paths_for(self.known.goal.error) * FIRST_CONTROLS, times=1)
 
     def decline(self) -> None:
@@ -521,6 +520,6 @@ class PictureCheck:
         # A picture by paths has nothing else to show until the first step of the new growth.
         if known.by_paths and self.whole is not None:
             self.known = replace(known, drawn=0)
-            self.growing = Growth.begun(self.whole, own, shown=True)
+            self.growing = Growth(self.whole, own, shown=True, earlier=own.places)
         else:
             self.known = PictureState(known.goal, own=own, attempt=known.attempt, by_paths=False)

@@ -66,7 +66,7 @@ class PictureState:
         if not len(own.places):
             return b""
         name = repr(own.count).encode() + hashlib.sha256(own.places.data).digest()
-        # Points have different numbers of paths while some catch up with others (``Growth.next``).
+        # Points may have different numbers of paths (``Growth.next``).
         if own.estimate.unequal:
             name += hashlib.sha256(np.ascontiguousarray(own.estimate.counts).data).digest()
         # The pixel of a point and the number of its paths determine the light traced for it.

@@ -103,7 +103,7 @@ class Estimate:
     are their numbers in each replica.
 
     The numbers differ while points with fewer catch up with the others, or if points whose noise is
-    small take no more.
+    small, or whose rays are from another view, take no more.
     """
 
     sums: np.ndarray

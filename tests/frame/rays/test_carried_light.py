@@ -11,12 +11,14 @@ from isogi_core.frame import view_checks
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.carried_light import (
+    Neighbours,
+    TracedLight,
     TracedPoints,
-    bends_of,
     carried_key,
     project,
-    slopes_of,
 )
+from isogi_core.frame.rays.own_light import PixelLight
+from isogi_core.frame.rays.point_paths import Estimate
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import View, quaternion_from_angles
 from tests.frame.conftest import SKY, Workbench, luminance, true_error
@@ -147,15 +149,23 @@ def test_points_project_to_their_pixels(bench: Workbench) -> None:
     np.testing.assert_allclose(columns % 1.0, 0.5, atol=1e-3)
 
 
-def test_light_of_a_plane_is_carried_without_error() -> None:
-    """Its slopes are exact, and it does not bend; at the border both are unknown."""
+def around_all(luminance: np.ndarray) -> Neighbours:
+    """The neighbours of all pixels of a grey picture; those that are NaN have no light."""
+    numbers = np.full(luminance.shape, -1, np.int32)
+    known = np.isfinite(luminance)
+    numbers[known] = np.arange(known.sum())
+    light = np.repeat(luminance[known][:, None], 3, axis=1)
+    return Neighbours(numbers, light, np.arange(luminance.size))
+
+
+def test_slopes_of_a_plane_are_exact() -> None:
+    """It does not bend; at the border both are unknown."""
     lines, columns = np.mgrid[:5, :6].astype(float)
-    plane = 2.0 + 0.5 * columns - 0.25 * lines
-    slopes = slopes_of(np.repeat(plane[..., None], 3, axis=2))
-    assert slopes.shape == (5, 6, 2, 3)
+    around = around_all(2.0 + 0.5 * columns - 0.25 * lines)
+    slopes = around.slopes.reshape(5, 6, 2, 3)
     np.testing.assert_allclose(slopes[1:-1, 1:-1, 0], 0.5)
     np.testing.assert_allclose(slopes[1:-1, 1:-1, 1], -0.25)
-    bends = bends_of(plane)
+    bends = around.bends.reshape(5, 6)
     np.testing.assert_allclose(bends[1:-1, 1:-1], 0.0, atol=1e-15)
     bends[1:-1, 1:-1] = np.inf
     assert np.isinf(bends).all()
@@ -163,14 +173,62 @@ def test_light_of_a_plane_is_carried_without_error() -> None:
 
 def test_bends_are_second_differences_relative_to_light() -> None:
     lines, columns = np.mgrid[:5, :5].astype(float)
-    bends = bends_of(4.0 + columns**2)
-    assert bends[2, 2] == 2.0 / 8.0
+    assert around_all(4.0 + columns**2).bends[12] == 2.0 / 8.0
     # Along a diagonal both coordinates change, over √2 of the length.
-    bends = bends_of(4.0 + columns * lines)
-    assert bends[2, 2] == 1.0 / 8.0
+    assert around_all(4.0 + columns * lines).bends[12] == 1.0 / 8.0
     hole = 4.0 + columns
     hole[1, 1] = np.nan
-    assert np.isinf(bends_of(hole)[:3, :3]).all() and bends_of(hole)[3, 3] == 0.0
+    bends = around_all(hole).bends.reshape(5, 5)
+    assert np.isinf(bends[:3, :3]).all() and bends[3, 3] == 0.0
+
+
+def test_light_changes_along_its_slope_on_the_way(bench: Workbench) -> None:
+    """Light that is a plane in the earlier picture is that of the plane at the other point."""
+    surface = bench.renderer.surface
+    view = bench.view(azimuth=70.0, size=SIZE)
+    first = surface.shot(view, bench.renderer.gbuffer(view), Goal(TARGET), bench.renderer.tiles)
+    pixels = first.gbuffer.pixels.astype(np.int64)
+    lines, columns = np.divmod(pixels, SIZE)
+    plane = 2.0 + 0.01 * columns - 0.02 * lines
+    grey = np.repeat(plane[:, None], 3, axis=1)
+    estimate = Estimate(np.repeat(4.0 * grey[:, None], 2, axis=1), np.full(len(plane), 4))
+    own = PixelLight(
+        np.arange(len(plane)), estimate, grey, np.ones(len(plane)), grey[:, :1], np.ones(len(plane))
+    )
+    points = TracedPoints.of(first, own, np.empty(0, np.int64))
+    # Another camera sees other points, between those of the first one.
+    other_view = bench.view(azimuth=70.3, size=SIZE)
+    other = surface.shot(
+        other_view, bench.renderer.gbuffer(other_view), Goal(TARGET), bench.renderer.tiles
+    )
+    box = other.gbuffer.points * np.array(other.gbuffer.spacing)
+    sides = project(other_view, box)[2] * other_view.camera.pixel_size(SIZE)
+    pairs = points.pairs(other, box, sides)
+    where, line, _ = project(view, box[pairs.places])
+    there = 2.0 + 0.01 * (where - 0.5) - 0.02 * (line - 0.5)
+    assert len(pairs.places) > 1000 and np.abs(pairs.changes).max() > 1e-3
+    np.testing.assert_allclose(pairs.changes[:, 0] + plane[pairs.numbers], there, atol=1e-5)
+    # The paths that are taken over have that light, in each replica.
+    carried = TracedLight((points,)).carried_to(other, np.ones(len(box)))
+    assert np.array_equal(carried.places, pairs.places)
+    means = np.repeat(np.repeat(there[:, None, None], 2, axis=1), 3, axis=2)
+    np.testing.assert_allclose(carried.estimate.means, means, atol=1e-5)
+
+
+def test_of_one_view_the_most_points_are_kept(bench: Workbench) -> None:
+    """Points that took light over are not kept anew, and must not drive out those they took."""
+    frame = finished(bench, bench.view(azimuth=110.0, size=SIZE))
+    shot = bench.renderer.surface.shot(
+        frame.view, frame.gbuffer, Goal(TARGET), bench.renderer.tiles
+    )
+    assert frame.quality.known is not None
+    own = frame.quality.known.own
+    whole = TracedPoints.of(shot, own, np.empty(0, np.int64))
+    half = TracedPoints.of(shot, own, own.places[::2])
+    assert TracedLight((whole,)).joined(half).views == (whole,)
+    assert TracedLight((half,)).joined(whole).views == (whole,)
+    other = replace(half, view=bench.view(azimuth=111.0, size=SIZE))
+    assert TracedLight((whole,)).joined(other).views == (other, whole)
 
 
 @pytest.mark.usefixtures("always")

@@ -170,6 +170,48 @@ def test_points_without_light_alone_take_more_paths() -> None:
     assert growth.next.tolist() == [32] * 10 + [16] * 10
 
 
+@pytest.mark.parametrize("ratio", [0.9, 1.1])
+def test_others_grow_once_new_points_are_far_ahead(ratio: float) -> None:
+    """Where new points would take more than four times their paths; by a quarter at least."""
+    places = np.arange(20)
+    light = light_of(places, 32, 0.1)
+    light.variance[:10] = 0.0
+    # Beside points without noise, new ones need (variance / allowed)^0.75 times their paths.
+    light.variance[10:] = 2.0 * (4.0 * ratio) ** (4.0 / 3.0) * 0.1**2
+    growth = replace(Growth(Choice(places, 20 * 0.1**2, 100.0, NONE), light), earlier=places[:10])
+    grows = growth.next > 32
+    assert grows[10:].all() and grows[:10].all() == (ratio > 1.0)
+    if ratio > 1.0:
+        assert growth.next[:10].min() >= 32 * 5 // 4
+
+
+@pytest.mark.parametrize("shown", [False, True])
+@pytest.mark.parametrize("begun", [(0, 0), (200, 0), (10_000, 32), (300, 32_768)])
+@pytest.mark.parametrize("allowed", [1e-12, 1e-5])
+def test_every_growth_ends(shown: bool, begun: tuple[int, int], allowed: float) -> None:
+    """Each step traces paths, within the most that points may have, until the noise is small."""
+    places = np.arange(20)
+    counts = np.repeat(begun, 10)
+    lit = np.flatnonzero(counts)
+    choice = Choice(places, 20 * allowed, 100.0, NONE)
+    for _ in range(80):
+        light = replace(
+            light_of(lit, 1, 0.1),
+            estimate=Estimate(np.zeros((len(lit), 2, 3)), counts[lit]),
+            variance=1.0 / np.maximum(counts[lit], 1),
+        )
+        earlier = places[:10] if begun[0] else NONE.astype(int)
+        growth = Growth(choice, light, shown=shown, earlier=earlier)
+        if growth.exhausted or (growth.enough and not growth.has_new):
+            break
+        after = growth.next
+        assert (after >= counts).all() and (after > counts).any() and after.max() <= 1 << 15
+        counts = after
+        lit = places
+    else:
+        pytest.fail("it does not end")
+
+
 def test_paths_are_foreseen_as_for_errors_that_are_spread() -> None:
     """Brute force: squares drawn from the distribution, each number of points tried."""
     target = 0.02
