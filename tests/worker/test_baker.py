@@ -300,6 +300,21 @@ def test_time_left_follows_from_what_the_bake_took(bench: Bench) -> None:
     assert bench.baker.paths == 100
 
 
+def test_a_new_bake_is_taken_to_cost_what_another_one_does(bench: Bench) -> None:
+    """As the next side of a surface, before any of its tasks is done."""
+    pool = bench.use_pool(1)
+    bench.request(1, 2)
+    chunks = [(0, 0, 1), (0, 0, 2)]
+    bench.add("side")
+    bench.request(3, scene="side")
+    assert bench.baker.time_left("side", "view", [(0, 0, 3)], like="scene") is None
+    pool.end(left(2, 0.8, paths=120.0))
+    assert bench.baker.time_left("scene", "view", chunks) is not None
+    assert bench.baker.time_left("side", "view", [(0, 0, 3)]) is None
+    known = bench.baker.time_left("side", "view", [(0, 0, 3)], like="scene")
+    assert known is not None and known.likely > 0.0
+
+
 def test_a_worker_that_leaves_has_done_no_work(bench: Bench) -> None:
     """Estimates are compared with work that was done, and not with a change of its division."""
     pool = bench.use_pool(1)

@@ -191,6 +191,21 @@ def test_promises_are_corrected_by_works_that_took_longer(clock: Clock) -> None:
     assert told.kept("next", TimeLeft(5.0, 10.0, 20.0)) == TimeLeft(15.0, 30.0, 60.0)
 
 
+def test_a_promise_counts_on_while_nothing_is_foreseen(clock: Clock) -> None:
+    """By the clock; once it is over, it is overdue and doubles."""
+    told = Promises(clock)
+    assert told.now("one") is None
+    told.kept("one", TimeLeft(5.0, 10.0, 20.0))
+    clock.now += 4.0
+    left = told.now("one")
+    assert left is not None and left.likely == 6.0 and not left.overdue
+    clock.now += 8.0
+    left = told.now("one")
+    assert left is not None and left.likely == 18.0 and left.overdue
+    told.end("one")
+    assert told.now("one") is None
+
+
 def test_a_work_that_is_done_is_promised_again(clock: Clock) -> None:
     told = Promises(clock)
     told.kept("one", TimeLeft(1.0, 2.0, 4.0))

@@ -321,12 +321,18 @@ class Baker:
         return self._expected or 1
 
     def time_left(
-        self, scene: str, subject: Hashable, indices: Iterable[Index], later: Iterable[Stage] = ()
+        self,
+        scene: str,
+        subject: Hashable,
+        indices: Iterable[Index],
+        later: Iterable[Stage] = (),
+        like: str = "",
     ) -> TimeLeft | None:
         """Estimate the time until all requests of these chunks, and ``later`` stages of the same
         picture, are done.
 
         ``subject`` names the picture, so that its earlier estimates can be compared with this one.
+        Until a task of this bake is done, its costs are taken to be those of the bake ``like``.
         Return None if the cost of the work is unknown.
         """
         with self._changed:
@@ -341,6 +347,8 @@ class Baker:
                 for each in stage.demands
             ]
             seconds = work_seconds(work, self._bakes[scene].costs)
+            if seconds is None and like in self._bakes:
+                seconds = work_seconds(work, self._bakes[like].costs)
             if self._pool is None:
                 workers = self._expected
             else:

@@ -350,6 +350,14 @@ class Promises:
                 self._known.popitem(last=False)
             return known.kept(left)
 
+    def now(self, work: Hashable) -> TimeLeft | None:
+        """Return the time of a ``work`` to report now, without a new estimate; None before the
+        first.
+        """
+        with self._lock:
+            known = self._known.get(work)
+            return known.now if known else None
+
     def end(self, work: Hashable) -> None:
         """Judge the estimates of a ``work`` that is done, and forget its reported time."""
         with self._lock:

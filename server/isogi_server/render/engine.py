@@ -537,7 +537,8 @@ class RenderEngine:
             return None
         # Texels of this stage and of all later ones.
         subject = (lacks.scene, surface_key(lacks.view), lacks.goal)
-        baking = self.baker.time_left(lacks.bake, subject, list(lacks.chunks), lacks.later)
+        chunks = list(lacks.chunks)
+        baking = self.baker.time_left(lacks.bake, subject, chunks, lacks.later, lacks.scene)
         if baking is None:
             return None
         # Paths from pixels, and drawing the picture meanwhile.
@@ -546,10 +547,11 @@ class RenderEngine:
         if lacks.read is not None:
             spent = self.baker.spent(lacks.read_from, lacks.read)
             baking = baking.plus(time_of_paths(left, spent, self._checking.threads, lacks.seconds))
-        # Report a time that does not jump.
+        # Report a time that does not jump. Steps of walls, and of several surfaces, are not
+        # foreseen: count on with the time that was reported before them.
         if baking.high > 0.0:
             return self._promises.kept(picture, baking)
-        return None
+        return self._promises.now(picture)
 
     def bake(self, bake: str, stage: Stage, viewer: Viewer = BACKGROUND_VIEWER) -> BackgroundBake:
         """Have the light that a ``stage`` demands of a ``bake`` baked for a ``viewer``; nothing
