@@ -46,6 +46,7 @@ def test_drag() -> None:
     assert found["rest to full picture, longest"] > 0.0
 
 
+@pytest.mark.long
 def test_load() -> None:
     found = figures(load, "demo:orbital", "--clients", "9", "--seconds", "1", "--workers", "1")
     assert {key for key in found if key.startswith("answered")} <= {

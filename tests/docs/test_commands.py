@@ -88,7 +88,13 @@ def run(block: Block, folder: Path, server: str) -> None:
 
 @needs_tools
 @pytest.mark.slow
-@pytest.mark.parametrize("page", SHORT, ids=lambda page: page.name)
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param(page, id=page.name, marks=[pytest.mark.long] * (page.name == "tutorial.md"))
+        for page in SHORT
+    ],
+)
 def test_short_commands_run_in_the_order_of_their_page(
     page: Path, folder: Path, server: str
 ) -> None:

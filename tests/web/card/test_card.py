@@ -381,7 +381,13 @@ def noisy_bench(make_bench: Make, lattice: dict[str, float]) -> Workbench:
     return bench
 
 
-@pytest.mark.parametrize("lattice", [{}, {"lattice": 1.5, "chunk": 8}], ids=["plain", "fine"])
+@pytest.mark.parametrize(
+    "lattice",
+    [
+        pytest.param({}, id="plain"),
+        pytest.param({"lattice": 1.5, "chunk": 8}, id="fine", marks=pytest.mark.long),
+    ],
+)
 def test_a_turned_light_is_filtered_on_the_card(
     lab: Lab, make_bench: Make, lattice: dict[str, float]
 ) -> None:

@@ -112,7 +112,9 @@ def test_faces_of_a_window_show_labels(lab: Lab, make_bench: Make, tmp_path: Pat
     assert near.mean() > 0.995, near.mean()
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(each, marks=[pytest.mark.long] * (each != "file")) for each in SCENES]
+)
 def test_the_check_at_rest_takes_a_coloured_card(
     lab: Lab, make_bench: Make, tmp_path: Path, name: str
 ) -> None:

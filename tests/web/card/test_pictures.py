@@ -147,7 +147,9 @@ SCENES: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(each, marks=[pytest.mark.long] * (each == "fine")) for each in SCENES]
+)
 def test_light_of_texels_is_isogis(lab: Lab, make_bench: Make, name: str) -> None:
     bench = lit_bench(make_bench, **SCENES[name])
     view = view_at(bench)
