@@ -157,7 +157,7 @@
     if (picture.controls === now) {
       said["#status-line"] = said["#status-line"].replace(PREDICTED, "");
       if (said["#badge"] === "Preview") said["#status-line"] = said["#status-line"].replace(/^Preview, .* left$/, "");
-      if (said["#badge"] === "Preview") said["#announce"] = said["#announce"].replace(/^Refining, not lit everywhere yet$/, "");
+      if (said["#badge"] === "Preview") said["#announce"] = said["#announce"].replace(/^Refining, (not lit everywhere yet|lit everywhere)$/, "");
     }
     for (const [where, text] of Object.entries(said)) if (CLAIM.test(text)) found.push(["claim for the card's picture", `${where}: ${text}`]);
     if (!badge.includes(said["#badge"])) found.push(["not said of the card's picture", `“${said["#badge"]}” for ${differing(picture.controls, now)}`]);
