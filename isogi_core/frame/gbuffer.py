@@ -141,9 +141,7 @@ class GBuffer:
     @property
     def rows(self) -> np.ndarray:
         """The row of the point that each pixel shows, -1 off the surface; (h, w) int32."""
-        rows = np.full(self.shape, -1, np.int32)
-        rows.reshape(-1)[self.pixels] = np.arange(len(self.pixels), dtype=np.int32)
-        return rows
+        return numbered(self.pixels, self.shape)
 
     def part(self, places: np.ndarray, tiles: Tiles) -> "GBuffer":
         """Return a G-buffer of the points in rows ``places`` (k,) alone, ascending. Raises
@@ -306,3 +304,12 @@ def surface_key(view: View) -> tuple[Any, ...]:
     """
     size = view.width, view.height, view.strip, view.columns
     return view.isovalue, view.camera, *size, view.window
+
+
+def numbered(pixels: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Return the number of each of the ``pixels`` (k,) in a picture of this ``shape``, -1 in all
+    others; (height, width) int32.
+    """
+    numbers = np.full(shape, -1, np.int32)
+    numbers.reshape(-1)[pixels] = np.arange(len(pixels), dtype=np.int32)
+    return numbers

@@ -199,7 +199,7 @@ class ViewChecks(Refinement[PictureCheck]):
         if light.coloured:
             between *= light.tints(shot.gbuffer, shot.tiles) @ LUMINANCE_WEIGHTS
         between[known.own.places] = 0.0
-        between[known.carried] = doubt_of_carried(check, frame)[known.carried]
+        between += doubt_of_carried(check, frame)
         return np.asarray(np.hypot(between, frame.pixel_noise))
 
     def require_texels(self, view: View, goal: Goal) -> None:

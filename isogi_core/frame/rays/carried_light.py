@@ -14,6 +14,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from isogi_core.frame.gbuffer import numbered
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.control_pixels import paths_of_truth
 from isogi_core.frame.rays.own_light import REPLICAS, PixelLight
@@ -80,15 +81,11 @@ class TracedPoints:
         traced = ~np.isin(own.places, carried, assume_unique=True)
         # See how light changes in the picture: carried light counts here, too.
         pixels = gbuffer.pixels[own.places]
-        numbers = np.full(gbuffer.shape, -1, np.int32)
-        numbers.reshape(-1)[pixels] = np.arange(len(pixels), dtype=np.int32)
-        around = Neighbours(numbers, own.light, pixels[traced])
+        around = Neighbours(numbered(pixels, gbuffer.shape), own.light, pixels[traced])
         places = own.places[traced]
-        rows = np.full(gbuffer.shape, -1, np.int32)
-        rows.reshape(-1)[pixels[traced]] = np.arange(len(places), dtype=np.int32)
         return cls(
             shot.view,
-            rows,
+            numbered(pixels[traced], gbuffer.shape),
             gbuffer.points[places] * np.array(gbuffer.spacing, np.float32),
             gbuffer.normals(shot.tiles)[places],
             own.estimate.part(traced),
@@ -101,10 +98,9 @@ class TracedPoints:
     @property
     def nbytes(self) -> int:
         """The size of its arrays in bytes."""
-        arrays = (self.rows, self.points, self.normals, self.expected, self.shares)
-        return self.estimate.nbytes + sum(
-            each.nbytes for each in (*arrays, self.slopes, self.bends)
-        )
+        geometry = (self.rows, self.points, self.normals)
+        light = (self.expected, self.shares, self.slopes, self.bends)
+        return self.estimate.nbytes + sum(each.nbytes for each in (*geometry, *light))
 
     def pairs(self, shot: Shot, points: np.ndarray, pixel_sides: np.ndarray) -> "Pairs":
         """Match points of another ``shot`` with those that were traced for the pixels of this view

@@ -404,6 +404,8 @@ class Growth:
         began = self._began_with_light
         allowed = self.choice.allowed(self.light)
         if began.any() and not began.all():
+            # The others leave ``room`` for the noise of new points, which must not need too many
+            # paths for it, and cannot grow beyond MOST_PATHS.
             room = allowed - float(variance[began].sum())
             most = min(MOST_AHEAD * float(counts[began].mean()), MOST_PATHS - 1)
             if room > 0.0:
