@@ -251,13 +251,13 @@ class ViewChecks(Refinement[PictureCheck]):
 
 
 def doubt_of_carried(check: PictureCheck, frame: Frame) -> np.ndarray:
-    """Return the uncertain luminance of the points of a ``frame`` whose light was carried over, as
+    """Return the uncertainty of luminance of the points of a ``frame`` with carried light, as
     light may change unevenly on the way; 0 for the others; (m,).
     """
     places = check.known.carried
     doubt = np.zeros(len(frame.gbuffer.pixels))
     luminance = frame.luminance(frame.gbuffer.pixels[places])
-    # On average light errs by half of the largest error that is allowed, or less.
+    # Count half of the largest error that is allowed: few points have all of it.
     doubt[places] = 0.5 * MOST_BENT * check.known.goal.error * luminance
     return doubt
 

@@ -59,7 +59,7 @@ class TracedPoints:
     - ``shares`` (k,): shares of their light that were shown: below 1 in the rim of the chosen
       points, in which traced light fades out.
     - ``slopes`` (k, 2, 3): change of their light from a column and from a line to the next one.
-    - ``bends`` (k,): largest relative change of such a slope: see ``Neighbours.bends``.
+    - ``bends`` (k,): largest relative change of slopes: see ``Neighbours.bends``.
     """
 
     view: View
@@ -104,7 +104,7 @@ class TracedPoints:
 
     def pairs(self, shot: Shot, points: np.ndarray, pixel_sides: np.ndarray) -> "Pairs":
         """Match points of another ``shot`` with those that were traced for the pixels of this view
-        in which they lie; return the pairs of which one may take over light. Raises Cancelled.
+        in which they lie; return those whose light they may take over. Raises Cancelled.
 
         ``points`` (m, 3) are the positions of the shot's points in the volume's box, and
         ``pixel_sides`` (m,) the lengths of the sides of its pixels there.
@@ -164,9 +164,9 @@ class TracedLight:
         return sum(each.nbytes for each in self.views)
 
     def joined(self, newest: TracedPoints) -> "TracedLight":
-        """Return this light with the points of the ``newest`` view. Of the same view, as at another
-        target, the larger number of points is kept. At most MOST_VIEWS views and MOST_BYTES are
-        kept, and the newest in any case.
+        """Return this light with the points of the ``newest`` view first. If there are points of
+        the same view, as at another target, the larger set of both is kept. At most MOST_VIEWS
+        views and MOST_BYTES are kept, the first view in any case.
         """
         others = []
         for each in self.views:
@@ -252,8 +252,9 @@ class Neighbours:
         """The largest second difference of light in the four directions through each pixel, in any
         colour, relative to the luminance of the pixel; (j,).
 
-        It is for steps as long as the side of a pixel, so those along diagonals count half. It is
-        infinite if one of the eight neighbours has no light.
+        It is for steps as long as the side of a pixel: those along diagonals count half, as where
+        light curves smoothly, so that a sharp change of slope across a diagonal is taken for 1/√2
+        of what it is. It is infinite if one of the eight neighbours has no light.
         """
         here = self.at(0, 0)
         worst = np.zeros(len(here))

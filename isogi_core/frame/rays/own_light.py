@@ -322,7 +322,7 @@ class Choice:
         """Return the sum of variances that the ``light`` of its points is to reach."""
         if self.noise is None:
             return self.variance
-        # Few controls tell the mean luminance of the picture less exactly than its light.
+        # The light itself tells the mean luminance of the picture better than a few controls.
         mean = float((light.light @ LUMINANCE_WEIGHTS).mean())
         return len(light.places) * (self.noise * mean) ** 2
 
@@ -387,7 +387,7 @@ class Growth:
 
     @property
     def _began_with_light(self) -> np.ndarray:
-        """Marks (k,) of the points that had light before the growth began."""
+        """Marks (k,) of the ``earlier`` points."""
         return np.isin(self.light.places, self.earlier, assume_unique=True)
 
     @property
@@ -395,17 +395,17 @@ class Growth:
         """Paths of each replica of each point with light that are needed in all, predicted from the
         noise of those traced so far; (k,).
 
-        If points began without light, they alone are to grow: light that was carried over came by
-        other random numbers, so that few paths more reduce its noise but little. All points grow if
-        it is too noisy for that.
+        If there are ``earlier`` points, all others alone grow: light from other views came by other
+        random numbers, so that a few paths more hardly reduce its noise. All points grow if the
+        others would take more than MOST_AHEAD times as many paths.
         """
         counts = self.light.estimate.counts
         variance = self.light.variance
         began = self._began_with_light
         allowed = self.choice.allowed(self.light)
         if began.any() and not began.all():
-            # The others leave ``room`` for the noise of new points, which must not need too many
-            # paths for it, and cannot grow beyond MOST_PATHS.
+            # Earlier points leave ``room`` for the noise of the new ones. These must not need too
+            # many paths to fit; with MOST_PATHS they cannot grow at all.
             room = allowed - float(variance[began].sum())
             most = min(MOST_AHEAD * float(counts[began].mean()), MOST_PATHS - 1)
             if room > 0.0:
@@ -422,17 +422,17 @@ class Growth:
     def next(self) -> np.ndarray:
         """Paths of each replica of each point of the choice after the next step; (k,) int64.
 
-        Points without light come first, until they have as many paths as the others had. Then paths
-        grow to the number that is wanted, but at most to twice as many, so that a cancelled step
-        loses little, and at least by an eighth, so that few steps are needed. If each step is
-        shown, they grow faster. The last step ends at MOST_PATHS.
+        Points without light come first: they get as many paths as the others have, in several
+        steps if each is shown. Then paths grow to the number that is wanted, but at most to twice
+        as many, so that a cancelled step loses little, and at least by an eighth, so that few steps
+        are needed. If each step is shown, they grow faster. No point gets more than MOST_PATHS.
         """
         counts = self.light.estimate.counts
         if self.has_new:
             return self._with_first_paths
         factor = SHOWN_FACTOR if self.shown else 2
         began = self._began_with_light
-        # Points that began without light catch up with the others, in several steps.
+        # New points catch up with the earlier ones.
         if began.any() and not began.all():
             new = int(counts[~began].min())
             others = int(counts[began].mean())

@@ -101,7 +101,8 @@ async def events_of(
     service: Service, picture: PictureRequest, seen: str, viewer: Viewer, client: Hashable
 ) -> AsyncGenerator[bytes, None]:
     """Yield events of a picture until it is final or has failed. The first is left out if its id
-    is ``seen``, unless it tells of a failure; none is left if it tells that the picture is final.
+    is ``seen``, unless it tells of a failure; no event comes if it tells that the picture is
+    final.
 
     Its light is baked while the ``client`` listens. Raises BusyError if too many clients do, and
     StoreError.
