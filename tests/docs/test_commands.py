@@ -40,6 +40,9 @@ SHORT = [
     if any(block.without(*ELSEWHERE, *LONG).lines for block in blocks_of(page))
 ]
 SECONDS = 1800
+SLOW = ("tutorial.md", "uploads.md", "python.md")
+"""Pages whose commands take longer than those of all others together."""
+
 by_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 needs_tools = pytest.mark.skipif(
     not all(map(shutil.which, ("bash", "curl", "openssl"))), reason="needs bash, curl and openssl"
@@ -91,7 +94,7 @@ def run(block: Block, folder: Path, server: str) -> None:
 @pytest.mark.parametrize(
     "page",
     [
-        pytest.param(page, id=page.name, marks=[pytest.mark.long] * (page.name == "tutorial.md"))
+        pytest.param(page, id=page.name, marks=[pytest.mark.long] * (page.name in SLOW))
         for page in SHORT
     ],
 )
