@@ -51,9 +51,9 @@ LATE := benchmark or browser or cluster or kill or long or s3 or slow or stabili
 SOON := journey or not ($(LATE))
 RUN := $(BIN)/python -m tests.run --durations 20
 TOGETHER := -n auto --dist worksteal
-# Late tests wait for browsers, servers and workers most of the time: two processes a core.
+# Late tests wait for browsers, servers and workers most of the time: three for two cores take three quarters of it.
 # Each file stays in one process, which opens its browsers and bakes its stores once.
-MORE := -n $(shell echo $$(( $$(nproc 2>/dev/null || echo 2) * 2 ))) --dist loadfile --no-loadscope-reorder
+MORE := -n $(shell echo $$(( $$(nproc 2>/dev/null || echo 2) * 3 / 2 ))) --dist loadfile --no-loadscope-reorder
 
 # Threads of BLAS would spin on the cores that the processes share.
 test-fast test test-all: export OPENBLAS_NUM_THREADS = 1
