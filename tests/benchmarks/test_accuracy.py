@@ -60,6 +60,7 @@ def test_lobes() -> None:
     }
 
 
+@pytest.mark.long
 def test_albedo() -> None:
     """At the highest albedo light is that of a fresh bake; below it, mixing errs by no more than a
     hundredth.

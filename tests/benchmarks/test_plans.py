@@ -29,6 +29,7 @@ def run(*names: str) -> Result:
     return run_part(plans.plans, "--size", "16", "--target", "0.5", *chosen, "--json")
 
 
+@pytest.mark.long
 def test_rows_tell_what_a_plan_takes_beside_s1() -> None:
     bare = "constant light, no bounces"
     found = json.loads(run(bare, LAMP).stdout)
@@ -58,6 +59,7 @@ def test_scenes_under_probes_need_the_shared_data() -> None:
     assert "rotating grace: left out, as there are no shared data." in done.stderr
 
 
+@pytest.mark.long
 @pytest.mark.data
 def test_all_scenes_are_there_with_the_shared_data(
     shared_data: Path, monkeypatch: pytest.MonkeyPatch

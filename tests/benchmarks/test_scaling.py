@@ -95,6 +95,7 @@ def test_light_is_held_to_the_byte_by_its_samples() -> None:
     assert altered(before, {}) == 3
 
 
+@pytest.mark.long
 def test_public(tmp_path: Path) -> None:
     z, y, x = np.mgrid[:24, :24, :24] - 11.5
     nrrd.write(

@@ -35,6 +35,7 @@ def test_warm_view() -> None:
     )
 
 
+@pytest.mark.long
 def test_drag() -> None:
     found = figures(
         drag, "demo:orbital", "--size", "48", "--seconds", "1", "--pages", "2", "--workers", "1"
@@ -68,6 +69,7 @@ def test_memory() -> None:
     assert found["all views: answered 200"] == 2 and found["all views: server, MiB"] > 0.0
 
 
+@pytest.mark.long
 def test_fuzz() -> None:
     found = figures(fuzz, "--messages", "200")
     assert found["server alive"] is True and found["tracebacks"] == 0

@@ -102,6 +102,7 @@ def test_the_truths_jump_is_less_the_noise_of_its_change() -> None:
     assert apart.truth == pytest.approx(np.sqrt(0.05**2 - 0.03**2) / 1.025)
 
 
+@pytest.mark.long
 def test_a_slide_in_a_room(tmp_path: Path) -> None:
     scene = tmp_path / "orbital.toml"
     scene.write_text(ROOM)

@@ -108,6 +108,7 @@ def baked(scene_file: Path, store: Path, scheduler: str | None = None) -> dict[s
     return chunks_in(store)
 
 
+@pytest.mark.long
 @pytest.mark.cluster
 def test_however_many_bake_the_bytes_are_the_same(
     small_scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

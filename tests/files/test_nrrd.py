@@ -229,6 +229,7 @@ def listed(folder: Path) -> dict[str, dict[str, str]]:
     return facts
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.data
 def test_real_volumes_are_what_their_list_says(shared_data: Path) -> None:

@@ -118,6 +118,7 @@ def scene_of(settings: dict[str, Any]) -> Scene:
     return load_scene("demo:orbital", **settings)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @COMPILED
 def test_a_frame_calls_exactly_its_listed_kernels() -> None:

@@ -135,6 +135,7 @@ sys.stdout.write(f"{entry(1.0)} {sum(entry.ready.stats.cache_hits.values())}")
 """
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @COMPILED
 def test_an_edited_helper_is_compiled_anew_an_old_one_loaded(house):

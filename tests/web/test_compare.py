@@ -201,6 +201,7 @@ def test_a_link_opens_with_its_cut(page: Page, live_server: str) -> None:
     expect(page.locator("#notice")).to_have_text("“wall” is no cut: it is planes such as x>40.")
 
 
+@pytest.mark.long
 def test_a_slider_is_moved_by_keys_alone(page: Page, live_server: str) -> None:
     open_final(page, live_server)
     unfold(page)
@@ -211,6 +212,7 @@ def test_a_slider_is_moved_by_keys_alone(page: Page, live_server: str) -> None:
     assert "cut=y%3C" in page.url
 
 
+@pytest.mark.long
 def test_handles_in_the_picture_move_planes(page: Page, live_server: str) -> None:
     open_final(page, live_server)
     page.keyboard.press("c")

@@ -285,6 +285,7 @@ def test_scale_and_axes_are_in_a_saved_picture_on_wish(
     )
 
 
+@pytest.mark.long
 def test_saving_survives_a_lost_server_and_can_be_stopped(page: Page, live_server: str) -> None:
     open_final(page, f"{live_server}/?{PLAIN}").click("#save-button")
     choose_large(page)

@@ -174,6 +174,7 @@ def series(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         yield url
 
 
+@pytest.mark.long
 def test_a_slider_leafs_through_the_steps(page: Page, series: str) -> None:
     first = pixels(open_final(page, series))
     expect(page.locator("#time")).to_be_visible()
@@ -195,6 +196,7 @@ def test_a_link_opens_at_its_step(page: Page, series: str) -> None:
     expect(page.locator("output[for=time]")).to_have_text("step 2")
 
 
+@pytest.mark.long
 def test_the_series_is_played_round_and_round(page: Page, series: str) -> None:
     """No step is skipped: what the slider says goes up by one, and from the last step to the
     first.

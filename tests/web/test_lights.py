@@ -105,6 +105,7 @@ def test_a_probe_can_be_dropped_on_the_picture(page: Page, site: Site, probe: by
     expect(page.locator("#environment option:checked")).to_have_text("sky", timeout=FINAL_MS)
 
 
+@pytest.mark.long
 def test_why_a_probe_is_refused_is_said(browser: Browser, site: Site) -> None:
     """On a page of its own: browsers complain of any answer that is a refusal."""
     page = browser.new_page()
@@ -173,6 +174,7 @@ def test_the_sun_is_where_a_mirror_shows_it(page: Page, live_server: str) -> Non
         assert sun_on(page) == pytest.approx(mirrored(**angles), abs=0.05), angles
 
 
+@pytest.mark.long
 def test_what_is_mirrored_follows_the_pointer(page: Page, live_server: str) -> None:
     for elevation in (40, 90):
         opened(page, f"{live_server}/?shading=lambert&azimuth=30&elevation={elevation}")

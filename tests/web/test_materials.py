@@ -64,6 +64,7 @@ def test_a_material_is_chosen_and_the_picture_follows(page: Page, live_server: s
     assert np.abs(pixels(wait_final(page)) - own).mean() < 1.0 and material(page) == ""
 
 
+@pytest.mark.long
 def test_a_number_is_applied_once_its_slider_is_let_go(page: Page, live_server: str) -> None:
     open_final(page, f"{live_server}/?material=glass,index=1.2")
     expect(page.locator("#material")).to_have_attribute("open", "")
@@ -84,6 +85,7 @@ def test_a_number_is_applied_once_its_slider_is_let_go(page: Page, live_server: 
     expect(page.locator("#material-kind")).to_have_value("diffuse")
 
 
+@pytest.mark.long
 def test_glass_has_a_tint_beside_how_much_it_absorbs(page: Page, live_server: str) -> None:
     open_final(page, f"{live_server}/?material=glass,absorption=0.05")
     tint = page.locator("#material-absorption-tint")
@@ -153,6 +155,7 @@ def test_the_slider_brightens_and_the_link_keeps_it(page: Page, painted: str) ->
     assert abs(pixels(open_final(page, again)) - bright).max() == 0.0
 
 
+@pytest.mark.long
 def test_a_tint_colours_the_surface_and_is_in_the_lines(page: Page, painted: str) -> None:
     page.emulate_media(color_scheme="dark")
     open_final(page, f"{painted}/?albedo=0.8")
@@ -201,6 +204,7 @@ def greenness(path: Path) -> np.ndarray:
     return np.asarray(green > red + 30)
 
 
+@pytest.mark.long
 def test_a_label_is_hidden_by_keys_and_named_in_a_saved_picture(
     page: Page, segmented: str, tmp_path: Path
 ) -> None:

@@ -138,6 +138,7 @@ def test_a_double_click_brings_the_surface_to_the_middle(shown: Page) -> None:
     assert target_of(shown) == target, "there is no surface in the corner"
 
 
+@pytest.mark.long
 def test_axis_views_keep_distance_and_target(shown: Page) -> None:
     shown.focus("#stage")
     shown.keyboard.press("d")

@@ -81,6 +81,7 @@ def test_the_error_falls_until_the_view_is_final(page: Page, live_server: str) -
     assert shown in words and shown in page.inner_text("#status-line")
 
 
+@pytest.mark.long
 def test_the_drawing_is_to_scale(fresh: Page, live_server: str) -> None:
     without_sockets(fresh).route("**/frame?*", staged(None, end=True))
     open_final(fresh, live_server)

@@ -302,6 +302,7 @@ def test_the_contour_follows_the_slider_without_the_server(page: Page, live_serv
     assert 0 < len(after) < 0.8 * len(before)
 
 
+@pytest.mark.long
 def test_surfaces_beside_have_contours_of_their_own(
     page: Page, small_scene: Path, tmp_path: Path
 ) -> None:
@@ -319,6 +320,7 @@ def test_surfaces_beside_have_contours_of_their_own(
         page.goto("about:blank")  # before the server goes
 
 
+@pytest.mark.long
 def test_a_right_drag_sets_window_and_level(page: Page, live_server: str) -> None:
     sliced(page, f"{live_server}/{ADDRESS}")
     window, level = (float(page.input_value(f"#slices-{name}")) for name in ("window", "level"))
@@ -419,6 +421,7 @@ def test_what_a_cut_takes_away_is_hatched(page: Page, live_server: str) -> None:
     expect(line(page, "z", "plane 1")).to_be_visible()
 
 
+@pytest.mark.long
 def test_a_line_is_dragged_and_the_cut_follows(page: Page, live_server: str) -> None:
     sliced(page, f"{live_server}/{ADDRESS}&cut=x%3E14")
     dragged = line(page, "z", "x to")

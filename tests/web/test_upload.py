@@ -126,6 +126,7 @@ def test_a_scene_keeps_its_name_on_a_narrow_screen(shown: Page) -> None:
     shoot(shown, "upload-390")
 
 
+@pytest.mark.long
 def test_why_a_file_is_refused_is_said(browser: Browser, site: Site) -> None:
     """On a page of its own: browsers complain of any answer that is a refusal."""
     page = open_shown(browser.new_page(), str(site.client.base_url))

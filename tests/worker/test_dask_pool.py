@@ -50,6 +50,7 @@ def cluster(compiled: None) -> Iterator[LocalCluster]:
         yield others
 
 
+@pytest.mark.long
 def test_joined_workers_have_loaded_kernels_and_stay_as_nice(
     compiled: None,
 ) -> None:
@@ -198,6 +199,7 @@ def test_a_scheduler_that_was_restarted_unnoticed_is_joined_anew(
         first.close()
 
 
+@pytest.mark.long
 def test_workers_are_counted_without_events(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(OwnClient, "subscribe_topic", lambda *_: None)
     with lone_scheduler() as alone, closing(DaskPool(alone.scheduler_address)) as joined:

@@ -57,6 +57,7 @@ def test_no_port_of_a_server_lets_another_user_in(embedded: psutil.Process) -> N
     assert fallen(ports) == []
 
 
+@pytest.mark.long
 def test_a_scheduler_without_tls_lets_another_user_in() -> None:
     """The attack succeeds where nothing stands in its way: the tests above would fail without
     certificates.

@@ -103,6 +103,7 @@ def test_glass_tells_its_error_and_becomes_right(casting: Workbench) -> None:
     assert (other.version, other.radiance.tobytes()) == (frame.version, frame.radiance.tobytes())
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_trees_bring_on_the_average_what_paths_bring(casting: Workbench) -> None:
     traced = casting.renderer.render(casting.view(size=32, shading="path_traced", samples=512))

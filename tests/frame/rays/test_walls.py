@@ -176,6 +176,7 @@ def test_walls_are_final_at_once_after_a_restart(room: Workbench) -> None:
     )
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_walls_between_two_isovalues_show_what_is_known_of_these(
     room: Workbench, tmp_path: Path

@@ -130,6 +130,7 @@ def test_edges_are_smooth_and_their_samples_show_walls(tmp_path: Path) -> None:
     assert frame.edges.on[behind].all()
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("room", [{}, {"room": "cornell"}], ids=["open", "room"])
 def test_glow_behind_clear_surfaces_is_what_paths_say(room: dict[str, Any], tmp_path: Path) -> None:

@@ -109,6 +109,7 @@ def test_a_point_has_the_value_of_what_is_in_front(halo: Workbench) -> None:
     assert point is not None and point.value == HALO["isovalue"]
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_between_two_levels_nothing_is_baked_anew(halo: Workbench) -> None:
     """Baked at one isovalue, the pinned surface has its light at another between the same levels;
@@ -129,6 +130,7 @@ def test_between_two_levels_nothing_is_baked_anew(halo: Workbench) -> None:
     assert relative_rmse(frame, traced) < LOOSE
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_light_of_other_isovalues_makes_room(halo: Workbench, tmp_path: Path) -> None:
     """Views whose light fits the memory one by one are drawn as where all of it fits."""

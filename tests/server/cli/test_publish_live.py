@@ -136,6 +136,7 @@ def texels_in(page: Path) -> int:
     return records
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_limit_takes_bits_from_the_light(
     publish: Publish, told: Told, small_scene: Path, store: Path, tmp_path: Path

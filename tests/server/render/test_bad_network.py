@@ -108,6 +108,7 @@ def test_a_network_that_is_down_is_told_within_a_call(
     assert chunks_at(standard_s3) == whole[1]
 
 
+@pytest.mark.long
 def test_a_silent_network_holds_no_thread_for_ever(
     small_scene: Path, standard_s3: str, proxy: Proxy
 ) -> None:

@@ -52,6 +52,7 @@ def read_confined(path: Path, folder: Path) -> Path:
         return kept
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_files_of_every_kind_are_read_confined(tmp_path: Path) -> None:
     for path in written(tmp_path / "files"):

@@ -37,6 +37,7 @@ def nrrd_of(kind: str, side: int, data: bytes) -> bytes:
     return fields.encode() + data
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize(("kind", "dtype"), [("float", np.float32), ("uchar", np.uint8)])
 def test_the_largest_upload_is_read_within_a_gigabyte(

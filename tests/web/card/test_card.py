@@ -171,6 +171,7 @@ def test_only_what_lacks_is_asked_for(lab: Lab, bench: Workbench) -> None:
     assert lacking()["light"] == [f"{listed[0]['at']}-{'f' * 16}"], "what has grown"
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("unfiltered")
 def test_texels_that_a_card_has_no_rows_for_go_oldest_first(lab: Lab, bench: Workbench) -> None:
     """Light of four views goes onto a card that has rows for about one; the newest is whole, and
@@ -256,6 +257,7 @@ def test_a_slow_card_draws_fewer_pixels(lab: Lab, bench: Workbench) -> None:
     assert slow[:-1] == sorted(slow[:-1], reverse=True)
 
 
+@pytest.mark.long
 def test_bands_of_a_picture_leave_no_seam(lab: Lab, bench: Workbench) -> None:
     view = view_at(bench)
     card = CardScene(lab, bench.renderer, view, SIZE)

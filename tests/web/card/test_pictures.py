@@ -311,6 +311,7 @@ def test_samples_at_rest_make_edges_smooth(lab: Lab, under_sky: Workbench) -> No
     )
 
 
+@pytest.mark.long
 def test_edges_are_smooth_after_three_tenths_of_a_second(lab: Lab, under_sky: Workbench) -> None:
     """At 60 Hz all samples are drawn by then; nearly each step of an edge has a blend at it."""
     view = view_at(under_sky)

@@ -159,6 +159,7 @@ def test_the_page_shows_isogis_picture(page: Page, site: Site, first: np.ndarray
     assert "isovalues 0.01 to 0.02" in said and "relative error" in said and said.endswith("MB.")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("knob", "value"),
     [
@@ -199,6 +200,7 @@ def test_a_drag_turns_the_object_and_the_exposure_lightens(
     assert lighter.mean() > turned.mean() + 3
 
 
+@pytest.mark.long
 def test_the_page_fits_windows_of_all_sizes(page: Page) -> None:
     for width, height in ((1280, 800), (390, 844), (844, 390)):
         page.set_viewport_size({"width": width, "height": height})
