@@ -14,6 +14,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from http import HTTPStatus
 from pathlib import Path
 from typing import Any
 from urllib.request import urlopen
@@ -21,6 +22,7 @@ from urllib.request import urlopen
 import nrrd
 import numpy as np
 from PIL import Image
+from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 import isogi
@@ -95,8 +97,9 @@ def draw_in_python() -> None:
 
 
 def serve_frames() -> None:
-    """A server's frame by HTTP, its metrics, and a picture of its stream."""
-    options = ("--port", "0", "--workers", "1", "--store", "light")
+    """A server's frame by HTTP, its metrics, and a picture of its only stream."""
+    alone = ("--port", "0", "--streams", "1", "--uploads-mb", "0")
+    options = (*alone, "--workers", "1", "--store", "light")
     with running("isogi", "serve", "demo:casting", *options) as process:
         assert process.stdout
         url = process.stdout.readline().split()[-1]
@@ -105,14 +108,24 @@ def serve_frames() -> None:
         frame = np.load(io.BytesIO(until(lambda: final_frame(f"{url}{place}/frame"))))
         assert frame.shape == (SIDE, SIDE, 9) and frame[..., :3].max() > 0.0
         assert b"isogi_" in fetched(f"{url}metrics")
-        address = url.replace("http", "ws", 1)
-        with connect(f"{address}{place}/stream", max_size=None) as stream:
+        address = f"{url.replace('http', 'ws', 1)}{place}/stream"
+        with connect(address, max_size=None) as stream:
+            assert refusal(address) == HTTPStatus.TOO_MANY_REQUESTS
             stream.send(json.dumps({"id": 1, "view": {"width": SIDE, "height": SIDE}}))
             assert json.loads(stream.recv(PATIENCE))["id"] == 1
             with Image.open(io.BytesIO(bytes(stream.recv(PATIENCE)))) as picture:
                 assert picture.size == (SIDE, SIDE)
         process.send_signal(signal.SIGINT)
         assert process.wait(PATIENCE) == 0
+
+
+def refusal(address: str) -> int | None:
+    """The status by which a server refuses a stream; None if it takes it."""
+    try:
+        connect(address).close()
+    except InvalidStatus as refused:
+        return refused.response.status_code
+    return None
 
 
 def fetched(url: str) -> bytes:
