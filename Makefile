@@ -4,6 +4,7 @@ BIN := .venv/bin
 SCENE ?=
 ISOGI_SHARED_DATA ?= ../shared/data
 TESTS ?=
+PYTHONS ?=
 
 # What README and docs use, and what files of other fields need: all of it is in the environment.
 EXTRAS := --extra formats --extra report --extra s3 --extra client --extra film --extra fits
@@ -125,14 +126,10 @@ release: $(BIN)/.tools
 reports: $(BIN)/.tools
 	$(BIN)/python -m benchmarks.accuracy reports -o reports --write
 
-# A wheel of this tree, installed in an empty environment, and its command: what `pip install isogi` gives.
-wheel-check:
-	rm -rf build/wheel && mkdir -p build/wheel
-	$(PYTHON) -m venv build/wheel/venv
-	$(PYTHON) -m pip wheel --quiet --no-deps --wheel-dir build/wheel .
-	build/wheel/venv/bin/pip install --quiet --disable-pip-version-check build/wheel/isogi-*.whl
-	cd build/wheel && venv/bin/isogi inspect demo:casting >/dev/null && venv/bin/isogi render demo:casting -o frame.png \
-	  --width 64 --height 64 --target-error 0.2 --store light && test -s frame.png && echo "the wheel works"
+# A wheel of this tree in empty environments, with the lowest and with the highest versions of what it needs, on each
+# Python that it names: what `pip install isogi` gives. PYTHONS="3.12" checks some.
+wheel-check: $(BIN)/.tools
+	$(BIN)/python -m tests.package.check_wheel $(PYTHONS)
 
 # The tools ask for older versions of some packages: what both lock is chosen with them, so that one environment has both.
 lock: $(BIN)/.tools

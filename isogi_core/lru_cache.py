@@ -8,7 +8,11 @@ from types import MappingProxyType
 from typing import Any, Generic, Protocol, TypeVar
 
 OVERHEAD_BYTES = 4 << 10
-"""Bytes that are added for each result: objects without arrays take memory too."""
+"""Bytes that are added for each result: objects without arrays take memory too.
+
+A G-buffer without points, with its view as key, takes 3.0 kB (``tracemalloc``, CPython 3.11), of
+which the key is 1.1 kB and the place in the cache 0.5 kB; this is the next power of two.
+"""
 
 
 NONE: Mapping[Any, int] = MappingProxyType({})

@@ -46,6 +46,9 @@ SENTINEL_CONTENT = json.dumps({"kind": "isogi light", "format": STORE_FORMAT}).e
 CHECKED = 1.0
 """Seconds for which a check of the sentinel stands,
 and after which an unreachable store is checked again.
+
+Each chunk that a view lacks asks for the check: this makes it one small read a second, however many
+chunks lack light. A store that comes back is noticed by the first request after this second.
 """
 
 CHECK_SECONDS = 0.5
@@ -574,7 +577,12 @@ def checksum_of(body: bytes) -> bytes:
 
 
 MAX_TRIES = 5
-"""Tries of a write while others write the same document."""
+"""Tries of a write while others write the same document.
+
+A try fails only if the write of another process has succeeded meanwhile, so that this many
+processes can write a document at the same moment, and all of them succeed. Hardly more do: a
+document belongs to one prewarm, or to the walls of one scene.
+"""
 
 
 class Documents:
