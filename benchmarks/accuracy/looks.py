@@ -80,7 +80,7 @@ HEAD = (
     "steps beyond, RMS",
     "at most",
     "noise of surfaces beyond",
-    "noise of walls",
+    "of walls",
 )
 
 

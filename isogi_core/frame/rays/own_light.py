@@ -2,8 +2,8 @@
 write it into the picture.
 
 The pixels whose texels have the largest errors get it. Their number is the one at which the
-picture's error comes to its target with the fewest paths; if few others are left, all get it. Traced light is filtered; see
-``pixel_filter``.
+picture's error comes to its target with the fewest paths; if few others are left, all get it.
+Traced light is filtered; see ``pixel_filter``.
 """
 
 import threading
