@@ -2,8 +2,8 @@
 write it into the picture.
 
 The pixels whose texels have the largest errors get it. Their number is the one at which the
-picture's error comes to its target with the fewest paths. Traced light is filtered; see
-``pixel_filter``.
+picture's error comes to its target with the fewest paths; if few others are left, all get it.
+Traced light is filtered; see ``pixel_filter``.
 """
 
 import threading
@@ -81,6 +81,12 @@ BLACK_SHARE = 1e-3
 RIM = (2.0 / 3.0, 1.0 / 3.0)
 """Shares of traced light that are shown in the pixels next to those that were chosen, and in the
 pixels beyond: it fades out to the light of texels, and no border shows.
+"""
+
+
+FEW_LEFT = 1.0 / 6.0
+"""Share of a picture's points below which those that neither were chosen nor are in a rim are
+chosen, too: at most a fifth more paths, and no border is left.
 """
 
 
@@ -333,7 +339,7 @@ class Choice:
 
     def with_rim(self, gbuffer: GBuffer, tiles: Tiles) -> "Choice":
         """Return the choice with the pixels of a G-buffer around the chosen ones, in which traced
-        light fades out. Raises Cancelled.
+        light fades out; with all pixels, if that leaves few. Raises Cancelled.
         """
         around = Surroundings(gbuffer, tiles)
         none = np.zeros(len(self.errors))
@@ -343,13 +349,18 @@ class Choice:
         for share in RIM:
             near, _ = around.means((shares > 0.0)[:, None].astype(float), none)
             shares[(shares == 0.0) & (near[:, 0] > SAME_SURFACE)] = share
+        # A few pixels that are left out would be islands. Errors of dark ones hardly count in the
+        # error of the picture, and are seen beside their neighbours.
+        if np.count_nonzero(shares == 0.0) < FEW_LEFT * len(shares):
+            shares[:] = 1.0
+        # A pixel that shows the share s of traced light keeps the share 1 - s of its texels' error,
+        # and (1 - s)² of the square. The squared error that is gone from those that were not chosen
+        # leaves as much room for noise.
+        removed = self.errors**2 * shares * (2.0 - shares)
+        removed[self.places] = 0.0
+        room = self.variance + float(removed.sum())
         places = np.flatnonzero(shares)
-        # A pixel of the rim that shows the share s of traced light keeps the share 1 - s of its
-        # texels' error, and (1 - s)² of the square. The squared error that is gone leaves as much
-        # room for noise.
-        found = shares[places]
-        removed = (self.errors[places] ** 2 * found * (2.0 - found))[found < 1.0].sum()
-        return replace(self, places=places, variance=self.variance + float(removed), shares=found)
+        return replace(self, places=places, variance=room, shares=shares[places])
 
 
 @dataclass(eq=False)

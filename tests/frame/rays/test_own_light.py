@@ -368,6 +368,20 @@ def test_no_border_shows_beside_light_of_their_own() -> None:
     assert ((light - 1.0)[own] ** 2).mean() < 0.15 * GRAIN**2
 
 
+@pytest.mark.parametrize("left", [6, 12])
+def test_all_pixels_are_chosen_where_few_would_be_left(left: int) -> None:
+    """A sixth of 48 columns are eight; a rim is two columns wide."""
+    gbuffer = from_afar(8.0)
+    chosen = np.flatnonzero(np.arange(SIZE**2) % SIZE < SIZE - 2 - left)
+    choice = Choice(chosen, 1.0, 16.0, np.full(SIZE**2, 0.3)).with_rim(gbuffer, Tiles(1))
+    if left == 6:
+        assert len(choice.places) == SIZE**2 and np.all(choice.shares == 1.0)
+        # All errors of texels that were to stay leave room for noise.
+        assert choice.variance == pytest.approx(1.0 + 0.3**2 * SIZE * (2 + left))
+    else:
+        assert len(choice.places) == SIZE * (SIZE - left)
+
+
 def test_traced_light_fades_out_around_the_chosen_pixels() -> None:
     """Texels are wrong by stripes that no correction of the pixels around can know."""
     gbuffer = from_afar(8.0)
