@@ -61,23 +61,19 @@ carried over.
 """
 
 
-Light = Caches | None
-"""Caches of the light that texels read; None stands for those of the scene."""
-
-
 @dataclass(frozen=True, eq=False)
 class WorkLeft:
     """The work that is left for one part of a picture, without the picture itself, which takes
     megabytes: for its walls, or for one side of a surface.
 
     ``foreseen`` are its paths when the picture was drawn; ``known`` returns those that its check
-    expects now, None before it was measured. ``chunks`` are read by its texels, of each kind of
-    ``light``.
+    expects now, None before it was measured. Its texels read ``chunks`` of each kind of ``light``,
+    by the caches of this; None stands for those of the scene.
     """
 
     foreseen: PathsLeft
     known: Callable[[], PathsLeft | None] = lambda: None
-    light: tuple[Light, ...] = ()
+    light: tuple[Caches | None, ...] = ()
     chunks: tuple[Index, ...] = ()
 
     @property
@@ -239,7 +235,11 @@ class ViewChecks(Refinement[PictureCheck]):
             check.decline()
 
     def work_left(
-        self, frame: Frame, goal: Goal, light: tuple[Light, ...] = (None,), effort: float = 0.0
+        self,
+        frame: Frame,
+        goal: Goal,
+        light: tuple[Caches | None, ...] = (None,),
+        effort: float = 0.0,
     ) -> WorkLeft:
         """Return the work that the surface in a ``frame`` takes to a ``goal``: none if neither
         texels nor paths of pixels light it.
@@ -256,7 +256,7 @@ class ViewChecks(Refinement[PictureCheck]):
         return replace(measuring, foreseen=foreseen, known=known)
 
     def measuring_left(
-        self, frame: Frame, goal: Goal, light: tuple[Light, ...] = (None,)
+        self, frame: Frame, goal: Goal, light: tuple[Caches | None, ...] = (None,)
     ) -> WorkLeft:
         """Return the work by which a ``frame`` is measured, whose texels read this ``light``: none
         if that was done with the samples that they have now.

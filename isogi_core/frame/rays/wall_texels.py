@@ -290,8 +290,8 @@ class WallTexels:
         """
         noise = self.relative(self.variance)
         # Interpolation is known as far as second differences show more than noise.
-        unsharp = np.maximum(self.unsharp - NOISE_IN_BENDS * self.variance, 0.0)
-        blur = self.relative(unsharp)
+        unsharp = self.unsharp - NOISE_IN_BENDS * self.variance
+        blur = self.relative(np.maximum(unsharp.mean(), 0.0))
         asked = float(self.asked.sum())
         count = self.count
         across = self.across
@@ -309,7 +309,7 @@ class WallTexels:
             noise *= 0.5 ** (1.0 / RATE)
             count *= 2
         # Finer texels replace those at edges, and take as many paths each.
-        edgy = unsharp.size - self._smooth_texels(unsharp, target)
+        edgy = unsharp.size - self._smooth_texels(np.maximum(unsharp, 0.0), target)
         while across < MAX_WALL_TEXELS and blur > max(noise, 0.5 * target):
             asked = 4.0 * edgy * across / self.across
             blur *= 0.5**0.5
