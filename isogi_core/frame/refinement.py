@@ -2,11 +2,25 @@
 
 import threading
 from abc import ABC, abstractmethod
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.rays.picture_plan import Prices
 from isogi_core.frame.shot import Shot
+
+
+class PathsLeft(NamedTuple):
+    """Paths that a picture still has to take after the present samples of its texels: of
+    ``pixels``, or of texels of walls, and of ``texels``. The picture is drawn ``times`` times on
+    the way.
+
+    ``pace`` is the number of seconds that a path of a pixel takes; None if it is unknown.
+    """
+
+    pixels: float = 0.0
+    texels: float = 0.0
+    times: int = 0
+    pace: float | None = None
 
 
 class Converging(Protocol):

@@ -46,7 +46,7 @@ from isogi_core.frame.surface_renderer import BLOCKS_SHARE, VIEW_BYTES, SurfaceR
 from isogi_core.frame.texel_reading import Reading, read_texels
 from isogi_core.frame.texel_shading import StandIn
 from isogi_core.frame.tiles import Stopwatch, Tiles
-from isogi_core.frame.view_checks import is_checked
+from isogi_core.frame.view_checks import WorkLeft, is_checked
 from isogi_core.frame.view_texels import ViewTexels
 from isogi_core.kernels.shading.framebuffer import PROVISIONAL, Framebuffer
 from isogi_core.lru_cache import LruCache
@@ -130,6 +130,12 @@ class Renderer:
         goal = goal or Goal.checked(self.prepared.scene.target_error)
         self._refuse(view)
         return self._painter.refine(view, goal, tiles or self.tiles, prices)
+
+    def work_left(self, frame: Frame, goal: Goal) -> tuple[WorkLeft, ...]:
+        """Return the work that is left until a ``frame`` that was rendered here reaches its
+        ``goal``, part by part, after the samples that its texels lack now.
+        """
+        return self._painter.work_left(frame, goal)
 
     def _refuse(self, view: View) -> None:
         """Refuse views that the scene cannot answer: another albedo, or a camera inside a wall.

@@ -33,7 +33,7 @@ from isogi_core.frame.shot import Shot
 from isogi_core.frame.texel_reading import Reading
 from isogi_core.frame.texel_shading import FilteredLight, StandIn, TexelShading
 from isogi_core.frame.tiles import Stopwatch, Tiles
-from isogi_core.frame.view_checks import ViewChecks, goal_of_texels, is_checked
+from isogi_core.frame.view_checks import ViewChecks, WorkLeft, goal_of_texels, is_checked
 from isogi_core.frame.view_texels import ViewTexels
 from isogi_core.kernels.shading.lobes import add_lobes
 from isogi_core.lru_cache import LruCache
@@ -233,6 +233,22 @@ class SurfaceRenderer:
         if frame.quality.waiting:
             return walls.step(frame, shot, prices)
         return any(each.step(frame, shot, prices) for each in others)
+
+    def work_left(self, frame: Frame, goal: Goal) -> tuple[WorkLeft, ...]:
+        """Return the work that is left until a ``frame`` of one surface reaches its ``goal``: of
+        its walls, and of its surface. The steps of shine, and of surfaces that light passes, are
+        not foreseen.
+        """
+        if self.prepared.scene.surfaces.material.refracts:
+            return ()
+        return (*self.walls_left(frame, goal), self.checks.work_left(frame, goal))
+
+    def walls_left(self, frame: Frame, goal: Goal) -> tuple[WorkLeft, ...]:
+        """Return the work that is left for the walls in a ``frame``; none if they are final."""
+        if not frame.quality.waiting:
+            return ()
+        shot = self.shot(frame.view, frame.gbuffer, goal, self.tiles)
+        return (WorkLeft(self._walls.left(shot)),)
 
     def _draw_texels(self, shot: Shot) -> Frame:
         """Draw a ``shot`` from the illumination cache: global illumination, or vicinity shading

@@ -3,13 +3,16 @@ the work that is left.
 """
 
 import math
-from dataclasses import replace
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from isogi_core.bake.noise import RATE, Goal
 from isogi_core.bake.texel_light import FIRST_LEVEL
+from isogi_core.cache.scene_caches import Caches
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import surface_key
 from isogi_core.frame.rays.carried_light import MOST_BENT, TracedLight, TracedPoints, carried_key
@@ -30,7 +33,7 @@ from isogi_core.frame.rays.picture_plan import (
     rungs_above,
 )
 from isogi_core.frame.rays.picture_state import PictureState
-from isogi_core.frame.refinement import Refinement
+from isogi_core.frame.refinement import PathsLeft, Refinement
 from isogi_core.frame.shading import texel_disagreement
 from isogi_core.frame.shot import Shot
 from isogi_core.frame.texel_reading import Reading
@@ -38,6 +41,7 @@ from isogi_core.frame.texel_shading import TexelShading
 from isogi_core.lru_cache import LruCache
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.view import View
+from isogi_core.prepared.prepared_scene import Index
 
 PIXELS = 0.25
 """Paths that a pixel takes to an error, over those that a texel takes: the error of a texel
@@ -57,17 +61,26 @@ carried over.
 """
 
 
-class PathsLeft(NamedTuple):
-    """Paths that a picture still has to take after the present samples of its texels: of
-    ``pixels``, and of ``texels``. The picture is drawn ``times`` times on the way.
+@dataclass(frozen=True, eq=False)
+class WorkLeft:
+    """The work that is left for one part of a picture, without the picture itself, which takes
+    megabytes: for its walls, or for one side of a surface.
 
-    ``pace`` is the number of seconds that a path of a pixel takes; None if it is unknown.
+    ``foreseen`` are its paths when the picture was drawn; ``known`` returns those that its check
+    expects now, None before it was measured. Its texels read ``chunks`` of each kind of ``light``,
+    by the caches of this; None stands for those of the scene.
     """
 
-    pixels: float = 0.0
-    texels: float = 0.0
-    times: int = 0
-    pace: float | None = None
+    foreseen: PathsLeft
+    known: Callable[[], PathsLeft | None] = lambda: None
+    light: tuple[Caches | None, ...] = ()
+    chunks: tuple[Index, ...] = ()
+
+    @property
+    def paths(self) -> PathsLeft:
+        """The paths that are left now. Texels take theirs for each kind of light."""
+        found = self.known() or self.foreseen
+        return found._replace(texels=len(self.light) * found.texels)
 
 
 class ViewChecks(Refinement[PictureCheck]):
@@ -221,12 +234,41 @@ class ViewChecks(Refinement[PictureCheck]):
         if (check := self.held(view, goal)) is not None:
             check.decline()
 
-    def left(self, frame: Frame, goal: Goal) -> PathsLeft:
-        """Return the paths that a ``frame`` still has to take for its ``goal``: as its check
-        expects, or, before it was measured, as foreseen from the plan's error and from the
-        noise of its texels.
+    def work_left(
+        self,
+        frame: Frame,
+        goal: Goal,
+        light: tuple[Caches | None, ...] = (None,),
+        effort: float = 0.0,
+    ) -> WorkLeft:
+        """Return the work that the surface in a ``frame`` takes to a ``goal``: none if neither
+        texels nor paths of pixels light it.
+
+        Its paths are those that its check expects, or, before it was measured, as foreseen from the
+        plan's error and from the noise of its texels, which read this ``light``. For ``effort`` see
+        ``foreseen``.
         """
-        return self.known_left(frame.view, goal) or self.foreseen(frame, goal)
+        if frame.quality.lacking is None and not frame.by_paths:
+            return WorkLeft(PathsLeft())
+        measuring = self.measuring_left(frame, goal, light)
+        foreseen = self.foreseen(frame, goal, effort)._replace(pace=measuring.foreseen.pace)
+        known = partial(self.known_left, frame.view, goal)
+        return replace(measuring, foreseen=foreseen, known=known)
+
+    def measuring_left(
+        self, frame: Frame, goal: Goal, light: tuple[Caches | None, ...] = (None,)
+    ) -> WorkLeft:
+        """Return the work by which a ``frame`` is measured, whose texels read this ``light``: none
+        if that was done with the samples that they have now.
+        """
+        check = self.held(frame.view, goal)
+        paths = PathsLeft(pace=check.pace if check else None)
+        if frame.measured is None or frame.outdated:
+            controls = 2.0 * paths_for(max(goal.error, frame.noise)) * FIRST_CONTROLS
+            paths = paths._replace(pixels=controls, times=1)
+        lacking = frame.quality.lacking
+        chunks = lacking.texels.chunks if lacking else ()
+        return WorkLeft(paths, light=light, chunks=chunks)
 
     def known_left(self, view: View, goal: Goal) -> PathsLeft | None:
         """Return the paths that the picture of a ``view`` still has to take, as its check expects;
@@ -242,12 +284,17 @@ class ViewChecks(Refinement[PictureCheck]):
         return None
 
     @staticmethod
-    def foreseen(frame: Frame, goal: Goal) -> PathsLeft:
-        """Return the paths that a ``frame`` is foreseen to take, before it was measured."""
+    def foreseen(frame: Frame, goal: Goal, effort: float = 0.0) -> PathsLeft:
+        """Return the paths that a ``frame`` is foreseen to take, before it was measured. Texels
+        none of which has light take those of an ``effort`` (see ``foreseen_work``).
+        """
         if frame.target is None or frame.quality.lacking is None:
             return PathsLeft()
         reading = frame.quality.lacking.reading
-        return foreseen_work(frame, reading, goal.error, reading.effort)
+        left = foreseen_work(frame, reading, goal.error, reading.effort or effort)
+        # The picture is measured on each rung, too.
+        each = 2.0 * paths_for(goal.error) * FIRST_CONTROLS
+        return left._replace(pixels=left.pixels + (left.times - FEWEST_TIMES) * each)
 
 
 def doubt_of_carried(check: PictureCheck, frame: Frame) -> np.ndarray:
@@ -289,11 +336,32 @@ def controls_of(target: float) -> float:
     return 2.0 * paths_for(target) * CONTROLS_IF_MISSED
 
 
+def known_error(frame: Frame, effort: float) -> float:
+    """Return the relative error of a ``frame`` as far as it is known: the upper end of its interval
+    if it was measured, the likely one if it was not, and that after the first samples of its texels
+    if it lacks light. For ``effort`` see ``foreseen_work``.
+    """
+    if frame.measured is not None:
+        return frame.measured.high
+    lacking = frame.quality.lacking
+    if lacking is None or not frame.provisional:
+        return frame.total.likely
+    return math.hypot(
+        noise_after(FIRST_LEVEL, lacking.reading.effort or effort), frame.quality.expected
+    )
+
+
 def noise_after(samples: int, effort: float) -> float:
     """Return the relative noise of pixels whose texels have ``samples`` each, filtered; a texel
     takes ``effort`` / e^RATE of them to a relative error e.
     """
     return float((effort / samples) ** (1.0 / RATE)) / FILTERED_NOISE_RATIO
+
+
+FEWEST_TIMES = 2
+"""Times that a picture is drawn if its texels climb no rung: to be measured, and with the light of
+its pixels.
+"""
 
 
 def foreseen_work(frame: Frame, reading: Reading, target: float, effort: float) -> PathsLeft:
@@ -305,7 +373,7 @@ def foreseen_work(frame: Frame, reading: Reading, target: float, effort: float) 
     ways = []
     controls = controls_of(target)
     # Try all rungs: more samples of texels leave fewer pixels that need light of their own.
-    for times, rung in enumerate([FIRST_LEVEL, *rungs_above(FIRST_LEVEL, target)], start=2):
+    for times, rung in enumerate([FIRST_LEVEL, *rungs_above(FIRST_LEVEL, target)], FEWEST_TIMES):
         error = math.hypot(noise_after(rung, effort), frame.quality.expected)
         pixels = controls + foreseen_paths(points, error, target, PIXELS * effort)
         texels = float(rung - FIRST_LEVEL) * len(reading.samples)

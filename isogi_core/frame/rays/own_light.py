@@ -560,12 +560,14 @@ def foreseen_paths(points: int, error: float, target: float, effort: float) -> f
 
     The squares of their errors, whose root mean square is ``error``, are taken to be exponentially
     distributed: the share x of the points with the largest errors leaves 1 - x + x ln x of the sum
-    to the others. A point takes ``effort`` / e^RATE paths to a relative error e.
+    to the others. A point takes ``effort`` / e^RATE paths to a relative error e, and at least the
+    first ones.
     """
     # The target leaves some variance to the chosen points of each share, none if it is too small.
     share = np.arange(1, SHARES + 1) / SHARES
     variance = (AIM * target) ** 2 - error**2 * (1.0 - share + share * np.log(share))
-    taken = share * points * effort * times_as_many(share, variance)
+    each = np.maximum(effort * times_as_many(share, variance), REPLICAS * FIRST_PATHS)
+    taken = share * points * each
     if error > AIM * target:
         return float(taken[variance > 0.0].min())
     return 0.0

@@ -52,6 +52,7 @@ from isogi_core.frame.rays.picture_plan import (
     controls_to,
     noise_of_climbers,
     rungs_at_once,
+    until_decided,
 )
 from isogi_core.frame.rays.picture_state import PictureState
 from isogi_core.frame.rays.pixel_filter import FILTER_PASSES, Surroundings
@@ -168,14 +169,16 @@ class PictureCheck:
             climbs = climbs_of(frame, self._rung(frame), self.known.goal.error)
         else:
             climbs = [0.0]
+        first = 2.0 * self.known.paths * FIRST_CONTROLS
         # While the interval holds the target, draw more controls, unless a rung decides for less.
         if not self._decided(frame.measured):
-            drawn = 2.0 * self.known.paths * frame.measured.controls
-            wanted = self._control_paths(frame.measured, frame.measured.likely)
-            self.ahead = Ahead(max(wanted - drawn, drawn), times=1)
             costs = [prices.path * each for each in climbs]
             if self._climbing_decides(frame, frame.measured, costs):
+                self.ahead = Ahead(first, times=1)
                 return self._climb(frame)
+            drawn = 2.0 * self.known.paths * frame.measured.controls
+            wanted = self._control_paths(frame.measured, frame.measured.likely)
+            self.ahead = until_decided(max(wanted - drawn, drawn), climbs, prices, first)
             return self._add_controls(frame, frame.measured, uncertainty, tiles)
         # If only the noise of the controls leaves the target open, they take more paths.
         if self._blurred(frame, frame.measured):
@@ -194,7 +197,6 @@ class PictureCheck:
         plan = self._cheapest(frame, frame.measured, uncertainty, climbs, prices, tiles)
         if not plan.rungs:
             plan = replace(plan, choice=plan.choice.with_rim(frame.gbuffer, tiles))
-        first = 2.0 * self.known.paths * FIRST_CONTROLS
         last = self._control_paths(frame.measured, self._aim(frame.measured))
         self.coarse = plan.finer
         self.ahead = plan.ahead(first, last)

@@ -136,6 +136,15 @@ class Ahead(NamedTuple):
     times: int = 0
 
 
+def until_decided(controls: float, climbs: Sequence[float], prices: Prices, first: float) -> Ahead:
+    """Return the work that decides if a picture is at its target: paths of more ``controls``, or
+    a rung and its ``first`` controls if that costs less. ``climbs`` is as from ``climbs_of``.
+    """
+    if len(climbs) > 1 and prices.path * climbs[1] + first < controls:
+        return Ahead(first, climbs[1], times=2)
+    return Ahead(controls, times=1)
+
+
 @dataclass(frozen=True, eq=False)
 class PixelLightCost:
     """What is known about the cost of light of pixels' own: ``paths`` paths leave the

@@ -6,6 +6,7 @@ paths. The store keeps them.
 """
 
 import threading
+import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -34,7 +35,7 @@ from isogi_core.frame.rays.wall_texels import (
     WallTexels,
     light_starts,
 )
-from isogi_core.frame.refinement import Refinement
+from isogi_core.frame.refinement import PathsLeft, Refinement
 from isogi_core.frame.shading import fog_depths, put_noise
 from isogi_core.frame.shot import Shot
 from isogi_core.frame.tiles import Tiles
@@ -93,15 +94,18 @@ class WallLight:
                 self.texels = self.texels.grown(self.light, self.surface, tiles)
             return self.texels
 
-    def grow(self, target: float, tiles: Tiles) -> bool:
-        """Take one step of the texels towards a ``target`` error; return False if they are
-        final. Raises Cancelled.
+    def grow(self, target: float, tiles: Tiles) -> int:
+        """Take one step of the texels towards a ``target`` error; return the number of paths that
+        it traced, 0 if they are final. Raises Cancelled.
         """
         with self.lock:
-            if self.texels.final(target):
-                return False
-            self.texels = self.texels.nearer(self.light, self.surface, target, tiles)
-            return True
+            before = self.texels
+            if before.final(target):
+                return 0
+            self.texels = before.nearer(self.light, self.surface, target, tiles)
+            if self.texels.across == before.across:
+                return self.texels.paths - before.paths
+            return self.texels.paths
 
 
 @dataclass(eq=False)
@@ -110,7 +114,7 @@ class RoomLight:
     their ``sides`` that was seen.
 
     It begins with the light that the ``store`` kept of this state, and of the nearest isovalues on
-    either side.
+    either side. ``pace`` are the seconds that each path of the last step took; None before a step.
     """
 
     light: RotatedLight
@@ -118,6 +122,7 @@ class RoomLight:
     state: WallState
     store: WallStore
     sides: dict[Side, WallLight] = field(default_factory=dict)
+    pace: float | None = None
     lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
     @classmethod
@@ -455,17 +460,32 @@ class ViewWalls(Refinement[RoomLight]):
         """
         room = self._room(views[0])
         grown = list[WallTexels]()
+        begun = time.perf_counter()
+        paths = 0
         try:
             # A wall that several views see takes one step.
             for side in dict.fromkeys(side for walls in views for side in walls.seen):
                 lit = room.side(side)
-                if lit.grow(shot.goal.error, shot.tiles):
+                if traced := lit.grow(shot.goal.error, shot.tiles):
+                    paths += traced
                     grown.append(lit.texels)
+            if paths:
+                room.pace = (time.perf_counter() - begun) / paths
         finally:
             room.keep(grown)
         # The texels take more memory than when they were put among the results: count them again.
         self._kept.settle()
         return bool(grown)
+
+    def left(self, shot: Shot) -> PathsLeft:
+        """Return the paths that the walls in a ``shot`` are foreseen to take for its goal. All of
+        them take a step together.
+        """
+        room = self.of(shot)
+        seen = WallView.of(shot.gbuffer, shot.light).seen
+        steps = [room.side(side).texels.steps_left(shot.goal.error) for side in seen]
+        paths = sum(sum(each) for each in steps)
+        return PathsLeft(paths, times=max(map(len, steps), default=0), pace=room.pace)
 
     def _best(self, walls: WallView, shot: Shot) -> list[WallTexels]:
         """Return the best texels of the sides that are seen. Raises Cancelled."""

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from isogi_core.bake.bake_spec import path_weights
+from isogi_core.bake.noise import RATE
 from isogi_core.bake.refine import add_paths, seeds_of, starts_at, starts_between
 from isogi_core.bake.texel_light import round_light
 from isogi_core.cache.wall_store import Planes, Side, planes_of, wall_layer
@@ -40,6 +41,11 @@ light.
 For an edge of height h anywhere between two texels, the squares of the second differences sum to 2
 h², and a ramp in place of the edge has the mean squared error h² / 6. Where light is smooth the
 error is a tenth of this.
+"""
+
+NOISE_IN_BENDS = 0.25
+"""Share of the variance by noise below which variance by interpolation may be noise alone: on even
+light, second differences show 0.2 of it, as they cannot be negative.
 """
 
 BLUR = BINOMIAL / BINOMIAL.sum()
@@ -163,6 +169,11 @@ class WallTexels:
         return 2 * self.means.nbytes
 
     @property
+    def paths(self) -> int:
+        """The number of paths of both halves that were traced from these texels."""
+        return 2 * self.count * int(self.asked.sum())
+
+    @property
     def version(self) -> str:
         """A name of the texels' light, for the versions of pictures that show it: another one as
         soon as paths are added.
@@ -270,6 +281,42 @@ class WallTexels:
             return False
         return self.relative(self.unsharp) > 0.5 * target
 
+    def steps_left(self, target: float) -> list[float]:
+        """Predict the steps (see ``nearer``) that are left until the texels are final at a
+        ``target``: the number of paths that each of them traces.
+
+        Noise falls with paths as texels' does (RATE). Along an edge, twice as fine texels are twice
+        as many, and halve the variance by interpolation.
+        """
+        noise = self.relative(self.variance)
+        # Interpolation is known as far as second differences show more than noise.
+        unsharp = self.unsharp - NOISE_IN_BENDS * self.variance
+        blur = self.relative(np.maximum(unsharp.mean(), 0.0))
+        asked = float(self.asked.sum())
+        count = self.count
+        across = self.across
+        steps = list[float]()
+        # Fine texels begin with the first paths.
+        if not self.fine:
+            asked *= (FINE_WALL_TEXELS / across) ** 2
+            blur *= (across / FINE_WALL_TEXELS) ** 0.5
+            across = FINE_WALL_TEXELS
+            count = FIRST_PATHS
+            steps.append(2.0 * asked * count)
+        # Their paths double until their noise is within the target.
+        while noise > target and count < MAX_PATHS:
+            steps.append(2.0 * asked * count)
+            noise *= 0.5 ** (1.0 / RATE)
+            count *= 2
+        # Finer texels replace those at edges, and take as many paths each.
+        edgy = unsharp.size - self._smooth_texels(np.maximum(unsharp, 0.0), target)
+        while across < MAX_WALL_TEXELS and blur > max(noise, 0.5 * target):
+            asked = 4.0 * edgy * across / self.across
+            blur *= 0.5**0.5
+            across *= 2
+            steps.append(2.0 * asked * count)
+        return steps
+
     def nearer(
         self, light: RotatedLight, surface: Surface, target: float, tiles: Tiles
     ) -> "WallTexels":
@@ -292,13 +339,21 @@ class WallTexels:
         All others stay interpolated: the error of the wall by these together is below a quarter of
         the ``target``.
         """
-        # Sort the squared errors of interpolation. The smallest ones may stay as long as their sum
-        # is allowed; the last texel alone is always marked, so that a step changes something.
         errors = np.sort(self.unsharp, axis=None)
-        allowed = errors.size * (0.25 * target * float(self.luminance.mean())) ** 2
-        first = min(int(np.searchsorted(np.cumsum(errors), allowed)), errors.size - 1)
+        first = self._smooth_texels(self.unsharp, target)
         finer = WallTexels.begun(light, self.wall, self.side, 2 * self.across)
         return np.asarray(self.unsharp[self._near(finer)] >= errors[first])
+
+    def _smooth_texels(self, unsharp: np.ndarray, target: float) -> int:
+        """Return the number of texels that may stay as they are: those with the smallest variances
+        ``unsharp`` (rows, columns) by interpolation, as long as their sum is allowed by the
+        ``target``.
+
+        The last texel never counts, so that a step changes something.
+        """
+        errors = np.sort(unsharp, axis=None)
+        allowed = errors.size * (0.25 * target * float(self.luminance.mean())) ** 2
+        return min(int(np.searchsorted(np.cumsum(errors), allowed)), errors.size - 1)
 
     def finer(self, light: RotatedLight, asked: np.ndarray) -> "WallTexels":
         """Return twice as many texels along each axis: dark if they are ``asked``, else

@@ -4,7 +4,7 @@ states.
 
 import hashlib
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -15,6 +15,7 @@ from isogi_core.frame.demand import Demand
 from isogi_core.frame.frame import Frame, Layer, Quality
 from isogi_core.frame.framing import paint_faces
 from isogi_core.frame.rays.control_pixels import TotalError
+from isogi_core.frame.several.mixed_reading import MixedReading
 from isogi_core.frame.several.peels import Peels, SideLayers
 from isogi_core.frame.texel_reading import Stage
 from isogi_core.frame.tiles import Stopwatch
@@ -47,6 +48,16 @@ class Part:
     def seen(self, values: np.ndarray) -> np.ndarray:
         """Return the ``values`` of a tall picture at its points."""
         return np.asarray(values.reshape(-1, *values.shape[2:])[self.layers.gbuffer.pixels])
+
+    @property
+    def light(self) -> tuple[Caches | None, ...]:
+        """The caches of all light that its texels read; None stands for those of the scene."""
+        if self.side == OUTER:
+            return (None,)
+        lacking = self.frame.quality.lacking
+        if lacking is not None and isinstance(lacking.reading, MixedReading):
+            return tuple(caches for _, caches in lacking.reading.parts)
+        return (self.caches,)
 
     @property
     def measured(self) -> TotalError | None:
@@ -199,7 +210,39 @@ def parts_of(frame: Frame) -> tuple[Part, ...]:
 
 def error_of(part: Part) -> float:
     """Return the absolute error of a part in the picture, as far as it is known."""
-    return part.frame.total.likely * part.frame.true_mean * part.weight**0.5
+    return in_picture(part, part.frame.total.likely)
+
+
+def in_picture(part: Part, error: float) -> float:
+    """Return the absolute error in the picture of a part with this relative ``error``."""
+    return error * part.frame.true_mean * part.weight**0.5
+
+
+def to_refine(frame: ComposedFrame, errors: Mapping[Side, float], target: float) -> list[Part]:
+    """Return the parts of a ``frame`` that take steps until it reaches a ``target``, besides the
+    measuring of each; ``errors`` are the relative errors of all parts, as far as they are known.
+
+    Walls are always brought to the target. Of the sides, the one with the largest error has the
+    next step: it is measured first, and then brought to the target by itself. Steps end once all
+    sides are measured and the squares of all errors add up to the allowed one.
+    """
+    allowed = (target * frame.true_mean) ** 2 * frame.surface
+    found = [part for part in frame.parts if part.frame.quality.waiting]
+    left = {part.side: in_picture(part, errors[part.side]) for part in frame.parts}
+    left |= {part.side: in_picture(part, target) for part in found}
+    waiting = [part for part in frame.parts if part.frame.improving]
+    unmeasured = {part.side for part in waiting if part.measured is None or part.frame.outdated}
+    while waiting and (unmeasured or sum(error**2 for error in left.values()) > allowed):
+        part = max(waiting, key=lambda each: left[each.side])
+        if part.side in unmeasured:
+            unmeasured.remove(part.side)
+            continue
+        waiting.remove(part)
+        # A part that is at the target by itself takes no steps.
+        if errors[part.side] > target:
+            found.append(part)
+            left[part.side] = in_picture(part, target)
+    return found
 
 
 def summed_errors(errors: Sequence[tuple[Part, np.ndarray]], radiance: np.ndarray) -> np.ndarray:

@@ -16,12 +16,19 @@ from isogi_core.frame.eye_glow import EyeGlow
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer, surface_key
 from isogi_core.frame.rays.picture_plan import Prices
-from isogi_core.frame.several.composed_frame import ComposedFrame, Part, compose, error_of
+from isogi_core.frame.several.composed_frame import (
+    ComposedFrame,
+    Part,
+    compose,
+    error_of,
+    to_refine,
+)
 from isogi_core.frame.several.mixed_reading import Level
 from isogi_core.frame.several.peels import Peeler, Peels, first_of, side_layers, walls_of
 from isogi_core.frame.several.smoothing import smooth_surfaces
 from isogi_core.frame.surface_renderer import SurfaceRenderer
 from isogi_core.frame.tiles import Stopwatch, Tiles
+from isogi_core.frame.view_checks import WorkLeft, known_error
 from isogi_core.model.view import View
 from isogi_core.plan.isovalue_levels import levels_around
 from isogi_core.plan.variants import OUTER, WALLS_SIDE, Side, scene_of_side, sides_of, surfaces_of
@@ -126,6 +133,32 @@ class PeelingRenderer:
             if renderer.refine_frame(part.frame, goal, tiles, prices.of_present):
                 return True
         return False
+
+    def work_left(self, frame: Frame, goal: Goal) -> tuple[WorkLeft, ...]:
+        """Return the work that is left until a ``frame`` reaches its ``goal``: of each side, and of
+        its walls.
+        """
+        if not isinstance(frame, ComposedFrame):
+            return ()
+        # Sides whose texels have no light yet are taken to need as many samples as those that have
+        # some.
+        readings = [part.frame.quality.lacking for part in frame.parts]
+        efforts = [lacking.reading.effort for lacking in readings if lacking is not None]
+        effort = float(np.median([each for each in efforts if each] or [0.0]))
+        errors = {part.side: known_error(part.frame, effort) for part in frame.parts}
+        refined = to_refine(frame, errors, goal.error)
+        found = list[WorkLeft]()
+        for part in frame.parts:
+            renderer = self._renderer(part.side, frame.view.isovalue)
+            if part.side == WALLS_SIDE:
+                found += renderer.walls_left(part.frame, goal) if part in refined else ()
+                continue
+            # A side whose error is small takes no steps, but is measured.
+            if part in refined:
+                found.append(renderer.checks.work_left(part.frame, goal, part.light, effort))
+            else:
+                found.append(renderer.checks.measuring_left(part.frame, goal, part.light))
+        return tuple(found)
 
     def smooth(self, frame: Frame, tiles: Tiles) -> Frame:
         """Return the ``frame`` of a picture with more samples at its edges: where neighbouring

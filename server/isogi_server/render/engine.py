@@ -5,10 +5,10 @@ frames lack.
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import replace
+from functools import partial, reduce
 
 from isogi_core.bake.bake_spec import SPECS, spec_name
 from isogi_core.bake.noise import Goal
@@ -21,7 +21,7 @@ from isogi_core.frame.rays.picture_plan import AWAITED, HEAVIER, Prices
 from isogi_core.frame.renderer import Renderer, unlit_frame
 from isogi_core.frame.texel_reading import Stage
 from isogi_core.frame.tiles import Stopwatch, Tiles
-from isogi_core.frame.view_checks import PathsLeft, ViewChecks
+from isogi_core.frame.view_checks import WorkLeft
 from isogi_core.model.view import View
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.scene import Scene
@@ -45,73 +45,14 @@ from isogi_server.render.picture_checks import CHECK, LIGHT_PATIENCE_SECONDS, Pi
 from isogi_server.render.scene_kernels import SceneKernels
 from isogi_server.render.scene_variant import SceneVariant
 from isogi_server.render.stores import root_of, whereabouts
+from isogi_server.render.time_left import Unfinished, time_of_parts
 from isogi_server.settings import Settings
 from isogi_worker.bake_requests import GUEST_VIEWER, Viewer
 from isogi_worker.baker import Baker, Listener
 from isogi_worker.progress import (
-    ASSUMED_WORK_RATIOS,
-    UNREHEARSED_SPREAD,
     Promises,
     TimeLeft,
-    log_normal_ratios,
 )
-
-NOTHING_LEFT = PathsLeft()
-
-
-@dataclass(frozen=True, eq=False)
-class Unfinished:
-    """The parts that a picture lacks until it is final, without the picture itself, which takes
-    megabytes.
-
-    - ``scene``, ``view``, ``goal``: of the request.
-    - ``final``, ``refinable``: as the frame says.
-    - ``seconds``: time that drawing it took, by stage.
-    - ``bake``, ``chunks``: light that it needs next.
-    - ``later``: stages after that.
-    - ``read``: chunks that its texels read, of the bake ``read_from``; () if paths alone light it,
-      None if it reads no texels for another reason.
-    - ``fineness``: steps by which its texels are finer.
-    - ``foreseen``: paths that its pixels are expected to take, until it is measured.
-    """
-
-    scene: str
-    view: View
-    goal: Goal
-    final: bool
-    refinable: bool
-    seconds: Mapping[str, float]
-    bake: str = ""
-    chunks: tuple[Index, ...] = ()
-    later: tuple[Stage, ...] = ()
-    read: tuple[Index, ...] | None = None
-    read_from: str = ""
-    fineness: int = 0
-    foreseen: PathsLeft = NOTHING_LEFT
-
-
-WAITING_STAGES = ("queue", "bake", "check", "demand")
-"""Stages of a frame that are not drawing."""
-
-
-def time_of_paths(
-    left: PathsLeft, spent: Cost, threads: int, drawing: Mapping[str, float]
-) -> TimeLeft:
-    """Estimate the time for the paths that are ``left`` on this number of ``threads``, and for
-    drawing the picture meanwhile.
-
-    ``spent`` is the cost of the texels' paths so far; ``drawing`` the seconds of each stage of the
-    last frame. If no path of a pixel has been timed yet, it is assumed to take the time of a
-    texel's path divided by HEAVIER, and the estimate is less certain.
-    """
-    # Costs are seconds of one processor; a pixel's pace was measured with all threads at work.
-    each = spent.ahead(1.0) / threads
-    once = sum(seconds for stage, seconds in drawing.items() if stage not in WAITING_STAGES)
-    work = left.texels * each + left.pixels * (left.pace or each / HEAVIER) + left.times * once
-    if left.pace is None:
-        return TimeLeft.of(work, ASSUMED_WORK_RATIOS)
-    return TimeLeft.of(work, log_normal_ratios(UNREHEARSED_SPREAD))
-
 
 REMEMBERED = 4096
 """Variants whose changes are remembered, so that they can be made again after they were dismissed:
@@ -479,20 +420,28 @@ class RenderEngine:
         if frame.final:
             return lacks
         bake, stage = self.lacking(scene, frame)
-        lacking = frame.quality.lacking
-        # A picture by paths of its pixels reads no texels, but paths are left all the same.
-        read = lacking.texels.chunks if lacking else None
-        if frame.by_paths:
-            read = ()
+        fineness = frame.quality.fineness
+        parts = self._find(scene).level(fineness).renderer.work_left(frame, goal)
         return replace(
             lacks,
             bake=bake,
             chunks=tuple(demand.index for demand in stage.demands),
             later=(frame.quality.finer or frame).stages[1:],
-            read=read,
-            read_from=self._lacking(scene, frame)[0] if frame.quality.finer else bake,
-            fineness=frame.quality.fineness,
-            foreseen=ViewChecks.foreseen(frame, goal),
+            parts=tuple((part, self._read_by(scene, frame, part)) for part in parts),
+        )
+
+    def _read_by(self, scene: str, frame: Frame, part: WorkLeft) -> tuple[str, ...]:
+        """Return the names of the bakes that the texels of a ``part`` of a ``frame`` read; of the
+        scene's light, the one that the frame needs next. They are added if they are new.
+        """
+        spec = spec_name(frame.view.shading)
+        stages = {stage.caches: stage for stage in reversed(frame.stages)}
+        none = Stage((), Goal(self.planned(scene).target_error))
+        return tuple(
+            self.bake_at(
+                scene, spec, stages.get(each, replace(none, caches=each)), frame.quality.fineness
+            )
+            for each in part.light
         )
 
     def waiting(self, lacks: Unfinished, viewer: Viewer) -> int:
@@ -541,17 +490,27 @@ class RenderEngine:
         baking = self.baker.time_left(lacks.bake, subject, chunks, lacks.later, lacks.scene)
         if baking is None:
             return None
-        # Paths from pixels, and drawing the picture meanwhile.
-        checks = self._find(lacks.scene).level(lacks.fineness).renderer.surface.checks
-        left = checks.known_left(lacks.view, lacks.goal) or lacks.foreseen
-        if lacks.read is not None:
-            spent = self.baker.spent(lacks.read_from, lacks.read)
-            baking = baking.plus(time_of_paths(left, spent, self._checking.threads, lacks.seconds))
-        # Report a time that does not jump. Steps of walls, and of several surfaces, are not
-        # foreseen: count on with the time that was reported before them.
+        baking = baking.plus(self._time_of_parts(lacks))
+        # Report a time that does not jump. Some steps, as of shine, are not foreseen: count on with
+        # the time that was reported before them.
         if baking.high > 0.0:
             return self._promises.kept(picture, baking)
         return self._promises.now(picture)
+
+    def _time_of_parts(self, lacks: Unfinished) -> TimeLeft:
+        """Estimate the time for the paths of all parts of a picture, and to draw it meanwhile."""
+        costs = [self._spent(part, bakes) for part, bakes in lacks.parts]
+        # Texels that keep irradiance trace the same paths as pixels do.
+        if self.planned(lacks.scene).plan.representation == "irradiance":
+            heavier = 1.0
+        else:
+            heavier = HEAVIER
+        left = [part.paths for part, _ in lacks.parts]
+        return time_of_parts(left, costs, self._checking.threads, lacks.seconds, heavier)
+
+    def _spent(self, part: WorkLeft, bakes: tuple[str, ...]) -> Cost:
+        """Return the cost so far of the light that a ``part`` reads from its ``bakes``."""
+        return reduce(Cost.plus, (self.baker.spent(bake, part.chunks) for bake in bakes), Cost())
 
     def bake(self, bake: str, stage: Stage, viewer: Viewer = BACKGROUND_VIEWER) -> BackgroundBake:
         """Have the light that a ``stage`` demands of a ``bake`` baked for a ``viewer``; nothing

@@ -212,17 +212,19 @@ def test_every_growth_ends(shown: bool, begun: tuple[int, int], allowed: float) 
         pytest.fail("it does not end")
 
 
-def test_paths_are_foreseen_as_for_errors_that_are_spread() -> None:
-    """Brute force: squares drawn from the distribution, each number of points tried."""
+@pytest.mark.parametrize("effort", [0.5, 0.05])
+def test_paths_are_foreseen_as_for_errors_that_are_spread(effort: float) -> None:
+    """Brute force: squares drawn from the distribution, each number of points tried. A point takes
+    its first paths in any case.
+    """
     target = 0.02
     error = 0.03
     points = 20_000
-    effort = 0.5
     squares = np.sort(error**2 * np.random.default_rng(3).exponential(size=points))[::-1]
     aim = aimed_at(target)
     variance = aim**2 * points - np.append(squares[::-1].cumsum()[::-1][1:], 0.0)
     many = np.arange(1, points + 1)
-    cost = many * effort * times_as_many(many.astype(float), variance)
+    cost = many * np.maximum(effort * times_as_many(many.astype(float), variance), 64.0)
     assert foreseen_paths(points, error, target, effort) == pytest.approx(
         cost[variance > 0.0].min(), rel=0.05
     )

@@ -35,11 +35,13 @@ from isogi_core.frame.rays.picture_plan import (
     Ahead,
     PixelLightCost,
     Plan,
+    Prices,
     by_finer,
     by_rungs,
     controls_to,
     noise_of_climbers,
     rungs_at_once,
+    until_decided,
 )
 from isogi_core.frame.rays.picture_state import PictureState
 from isogi_core.frame.texel_reading import Reading, grade_rows
@@ -553,6 +555,14 @@ class CostSeen(PixelLightCost):
     def choose(self, errors: np.ndarray):  # type: ignore[no-untyped-def]
         self.asked.append(errors)  # type: ignore[attr-defined]
         return super().choose(errors)
+
+
+def test_a_rung_that_costs_less_than_controls_is_ahead() -> None:
+    """At half a path of a pixel for each path of a texel."""
+    prices = Prices(path=0.5)
+    assert until_decided(100.0, [0.0, 60.0], prices, 20.0) == Ahead(20.0, 60.0, 2)
+    assert until_decided(100.0, [0.0, 200.0], prices, 20.0) == Ahead(100.0, 0.0, 1)
+    assert until_decided(100.0, [0.0], prices, 20.0) == Ahead(100.0, 0.0, 1)
 
 
 def test_what_is_ahead_leaves_out_what_begins_now() -> None:

@@ -1,5 +1,6 @@
 """Walls of rooms: their light beside texels, what it errs by, and how it is kept."""
 
+import math
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -293,6 +294,36 @@ def wall_texels(
     )
 
 
+def even(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Light of 1 everywhere."""
+    return np.ones_like(x + y)
+
+
+def test_walls_foresee_the_paths_that_noise_takes() -> None:
+    """Paths grow with the noise to the power of 3/2, by doubling."""
+    texels = wall_texels(64, even, noise=0.1)
+    error = texels.relative(texels.variance)
+    assert texels.steps_left(1.1 * error) == []
+    steps = texels.steps_left(error / 4.1)
+    assert len(steps) == math.ceil(1.5 * math.log2(4.1))
+    assert steps == [texels.paths * 2**n for n in range(len(steps))]
+
+
+def test_walls_foresee_that_coarse_texels_become_fine() -> None:
+    """Sixteen times as many texels, with as many paths each as the coarse ones."""
+    texels = wall_texels(16, even, noise=0.01)
+    assert texels.steps_left(0.02) == [16.0 * texels.paths]
+
+
+def test_walls_foresee_finer_texels_along_an_edge() -> None:
+    """Those next to a straight shadow, and two on either side of these, four times as many."""
+    texels = wall_texels(64, lambda x, y: 1.0 + (x > 0.4 + 0.3 * y))
+    first, second = texels.steps_left(0.01)
+    each = 2.0 * texels.count
+    assert 4.0 <= first / each / 4.0 / 64.0 <= 7.0
+    assert second == 2.0 * first
+
+
 def between_texels(
     texels: WallTexels, light: Callable[[np.ndarray, np.ndarray], np.ndarray]
 ) -> float:
@@ -422,6 +453,32 @@ def test_walls_are_fine_before_any_texel_has_light(bench: Workbench) -> None:
     assert second.coverage["provisional"] < first.coverage["provisional"] == 1.0
     assert not bench.renderer.refine(view, Goal.checked(target))
     assert bench.renderer.render(view, Goal.checked(target)).version == second.version
+
+
+@pytest.mark.slow
+def test_walls_take_about_the_paths_that_they_foresaw(
+    bench: Workbench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    traced = [0]
+    grown = WallTexels.grown
+
+    def counted(self: WallTexels, *given: Any) -> WallTexels:
+        after = grown(self, *given)
+        traced[0] += after.paths - self.paths
+        return after
+
+    view = view_of(bench)
+    goal = Goal.checked(0.01)
+    bake(bench, view) if bench.scene.surfaces.several else bench.bake(view)
+    bench.renderer.refine(view, goal)
+    frame = bench.renderer.render(view, goal)
+    assert not frame.walls_coarse
+    walls = next(part for part in bench.renderer.work_left(frame, goal) if not part.light)
+    monkeypatch.setattr(WallTexels, "grown", counted)
+    while bench.renderer.render(view, goal).quality.waiting:
+        assert bench.renderer.refine(view, goal)
+        bake(bench, view) if bench.scene.surfaces.several else bench.bake(view)
+    assert 0.5 < walls.foreseen.pixels / traced[0] < 2.0
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 two levels.
 """
 
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
@@ -9,6 +10,8 @@ import pytest
 
 from isogi_core.bake.noise import Goal
 from isogi_core.cache.scene_caches import Caches
+from isogi_core.frame.rays.control_pixels import TotalError
+from isogi_core.frame.several.composed_frame import ComposedFrame, Part, to_refine
 from isogi_core.frame.several.mixed_reading import Level, MixedReading, mixed
 from isogi_core.frame.several.peels import Hits, Peeler, first_of, side_layers
 from isogi_core.frame.texel_reading import Reading
@@ -107,6 +110,54 @@ def test_a_side_is_a_tall_picture_of_its_layers(prepared: PreparedScene) -> None
     np.testing.assert_array_equal(layers.gbuffer.points, hits.points[some])
     away = np.linalg.norm(layers.gbuffer.points - MIDDLE, axis=1)
     np.testing.assert_allclose(away, 12.0, atol=0.1)
+
+
+# --- work that is left
+# -------------------------------------------------------------------------------------------------
+
+
+def part_of(side: Side, error: float, measured: bool, final: bool = False) -> Part:
+    """A part of 100 pixels of luminance 1 with this relative error."""
+    total = TotalError(error, error, error)
+    quality = SimpleNamespace(waiting=0)
+    frame = SimpleNamespace(
+        true_mean=1.0, improving=not final, outdated=False, quality=quality, total=total
+    )
+    found = SimpleNamespace(
+        side=side, weight=100.0, frame=frame, measured=total if measured else None
+    )
+    return cast(Part, found)
+
+
+def refined(*parts: Part, target: float = 0.02) -> list[Side]:
+    """The sides that take steps, in order: each pixel shows a point of each part, so that the
+    picture is as bright as all parts together.
+    """
+    frame = SimpleNamespace(true_mean=float(len(parts)), surface=100, parts=parts)
+    errors = {part.side: part.frame.total.likely for part in parts}
+    return [part.side for part in to_refine(cast(ComposedFrame, frame), errors, target)]
+
+
+A, B, C = Side(0), Side(1), Side(1, True)
+
+
+def test_sides_take_steps_until_their_errors_add_up_to_the_target() -> None:
+    """Three parts of one brightness may err by 3 · 0.02 together, as squares."""
+    small = part_of(B, 0.02, measured=True), part_of(C, 0.02, measured=True)
+    assert refined(part_of(A, 0.05, measured=True), *small) == []
+    assert refined(part_of(A, 0.06, measured=True), *small) == [A]
+    noisy = part_of(B, 0.07, measured=True)
+    assert refined(part_of(A, 0.08, measured=True), noisy, small[1]) == [A, B]
+    assert refined(part_of(A, 0.06, measured=True, final=True), *small) == []
+
+
+def test_the_side_with_the_largest_error_takes_steps_before_others_are_measured() -> None:
+    """Its steps come first, so it takes them even where all together would be good enough."""
+    others = part_of(B, 0.015, measured=False), part_of(C, 0.01, measured=False)
+    assert refined(part_of(A, 0.03, measured=True), *others) == [A]
+    assert refined(part_of(A, 0.02, measured=True), *others) == []
+    noisy = part_of(B, 0.025, measured=False)
+    assert refined(part_of(A, 0.03, measured=True), noisy, others[1]) == [A, B]
 
 
 # --- light of two levels

@@ -106,7 +106,7 @@ def test_paths_are_priced_by_the_texels_that_are_shown(
     lacks = engine.unfinished(scene.id, frame, goal)
     assert lacks.bake != engine.bake_of(scene.id, view)
     assert engine.time_without(lacks) is not None
-    assert asked == [(engine.bake_of(scene.id, view), lacks.read)] and lacks.read
+    assert asked == [(engine.bake_of(scene.id, view), lacks.parts[0][0].chunks)]
 
 
 def test_without_room_for_them_pixels_get_light_of_their_own(

@@ -6,10 +6,12 @@ import pytest
 
 from isogi_core.bake.noise import Goal
 from isogi_core.cache.costs import Cost
-from isogi_core.frame.view_checks import PathsLeft
+from isogi_core.frame.refinement import PathsLeft
+from isogi_core.frame.view_checks import WorkLeft
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
-from isogi_server.render.engine import RenderEngine, time_of_paths
+from isogi_server.render.engine import RenderEngine
+from isogi_server.render.time_left import time_of_parts, time_of_paths
 from isogi_worker.progress import TimeLeft
 from tests.server.inline import LONG, view_of
 
@@ -62,6 +64,29 @@ def test_each_drawing_of_the_picture_takes_its_time() -> None:
     assert left.likely == pytest.approx(1.0 + 3 * 0.75)
 
 
+def test_parts_of_a_picture_are_priced_by_each_other() -> None:
+    """A part of which no path was timed takes the pace of the other one; a part whose texels took
+    no paths takes the time of the other one's.
+    """
+    lit, unlit = PathsLeft(1000.0, pace=0.01), PathsLeft(500.0, 200.0, times=1)
+    left = time_of_parts([lit, unlit], [Cost(4.0, 100), Cost()], 2, {"shade": 0.5})
+    assert left.likely == pytest.approx(1500.0 * 0.01 + 200.0 * 4.0 / 100 / 2 + 0.5)
+    none = time_of_parts([], [], 2, {})
+    assert none == TimeLeft(0.0, 0.0, 0.0)
+
+
+def test_paths_of_irradiance_take_as_long_as_those_of_pixels() -> None:
+    left = time_of_parts([PathsLeft(100.0)], [Cost(4.0, 100)], 2, {}, heavier=1.0)
+    assert left.likely == pytest.approx(2.0)
+
+
+def test_texels_take_their_paths_for_each_kind_of_light() -> None:
+    work = WorkLeft(PathsLeft(10.0, 100.0), light=(None, None))
+    assert work.paths == PathsLeft(10.0, 200.0)
+    known = replace(work, known=lambda: PathsLeft(3.0, 5.0))
+    assert known.paths == PathsLeft(3.0, 10.0), "a check knows better"
+
+
 def test_times_of_two_works_add_up() -> None:
     assert TimeLeft(1.0, 2.0, 3.0).plus(TimeLeft(10.0, 20.0, 30.0)) == TimeLeft(11.0, 22.0, 33.0)
 
@@ -83,7 +108,7 @@ def test_a_picture_tells_the_time_until_its_pixels_have_light(
         if check is not None and check.growing:
             told.append(
                 (
-                    checks.left(frame, goal).pixels,
+                    checks.work_left(frame, goal).paths.pixels,
                     engine.time_left(scene.id, frame, goal),
                 )
             )
@@ -97,7 +122,7 @@ def test_paths_are_foreseen_before_light_is_final(engine: RenderEngine, scene: S
     goal = Goal.checked(scene.target_error / 4.0)
     engine.frame(scene.id, view, goal=Goal.checked(0.5), wait=LONG)
     frame = engine.survey(scene.id, view, goal)
-    left = engine.renderer(scene.id).surface.checks.left
-    least = left(frame, goal).pixels
+    work_left = engine.renderer(scene.id).surface.checks.work_left
+    least = work_left(frame, goal).paths.pixels
     worse = replace(frame.quality, expected=2.0 * goal.error)
-    assert left(replace(frame, quality=worse), goal).pixels > least
+    assert work_left(replace(frame, quality=worse), goal).paths.pixels > least

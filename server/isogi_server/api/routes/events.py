@@ -29,7 +29,7 @@ from isogi_server.api.service import (
 from isogi_server.errors import BusyError, ParameterError, UnknownSceneError
 from isogi_server.parameters import ViewParams, documented
 from isogi_server.problems import documented_problems
-from isogi_server.render.engine import Unfinished
+from isogi_server.render.time_left import Unfinished
 from isogi_server.render.viewers import stream_viewer
 from isogi_server.schemas import TimeLeftSchema
 from isogi_worker.bake_requests import Viewer
