@@ -59,9 +59,9 @@ enough is taken.
 
 SIDES_NOT_PUBLISHED = Obstacle(
     "several surfaces",
-    "Light of pinned surfaces depends on the isovalue that is shown: a folder holds none of it.",
+    "A folder holds the light of one surface's outer side alone.",
 )
-"""The obstacle of published pages alone, whose light is that of the surface that slides."""
+"""An obstacle of published pages alone."""
 
 TAKEN = (
     *("isovalue", "azimuth", "elevation", "distance", "fov", "projection", "target"),
