@@ -32,7 +32,7 @@ from isogi_core.frame.several.peeling_renderer import PeelingRenderer, SeenSide
 from isogi_core.frame.shading import light_sources
 from isogi_core.frame.surface_renderer import SurfaceRenderer
 from isogi_core.frame.texel_reading import read_texels
-from isogi_core.frame.tiles import Tiles
+from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from isogi_core.plan.variants import Side, sides_of
@@ -61,8 +61,9 @@ def look_at_sides(renderer: Renderer, view: View, goal: Goal, tiles: Tiles) -> L
     chunks = tuple(chunk for _, chunk in sorted(found, key=lambda each: -each[0]))
     if all(chunk.final for chunk in chunks):
         return Look(chunks, None)
-    # The picture itself knows which side lacks light first.
-    return Look(chunks, renderer.render(replace(view, smooth=False), goal))
+    # The picture knows which side is to have light first. Without a target nobody checks it.
+    frame = renderer.peeling.draw(view, goal, tiles, Stopwatch())
+    return Look(chunks, replace(frame, aim=None))
 
 
 def chunks_of_side(seen: SeenSide, goal: Goal, tiles: Tiles) -> list[tuple[int, SeenChunk]]:

@@ -86,9 +86,9 @@ class PeelingRenderer:
         Raises Cancelled, ViewError if the view asks for glow and nothing glows, and NoRoomError if
         the light of this view alone takes more than the budget.
         """
-        return self._outer.add_glow(self._draw(view, goal, tiles, watch), tiles, watch)
+        return self._outer.add_glow(self.draw(view, goal, tiles, watch), tiles, watch)
 
-    def _draw(self, view: View, goal: Goal, tiles: Tiles, watch: Stopwatch) -> ComposedFrame:
+    def draw(self, view: View, goal: Goal, tiles: Tiles, watch: Stopwatch) -> ComposedFrame:
         """Draw all sides that a ``view`` shows, and add them up. Raises Cancelled and
         NoRoomError.
         """
@@ -128,7 +128,7 @@ class PeelingRenderer:
 
         Sides have no finer texels, whatever the ``prices``. Raises Cancelled and NoRoomError.
         """
-        frame = self._draw(view, goal, tiles, Stopwatch())
+        frame = self.draw(view, goal, tiles, Stopwatch())
         if not frame.refinable:
             return False
         # Walls that lag behind may take a step while sides still wait for light.
