@@ -83,7 +83,6 @@ SUBSURFACE = Feature(
 SEVERAL_SURFACES = Feature(
     "several surfaces",
     lambda scene: scene.surfaces.several,
-    "Several surfaces are composed by the server.",
     kernels=(peel_rays,),
     traces_paths=True,
     in_stages=True,

@@ -160,6 +160,29 @@ class CardModel(BaseModel):
     exponent: float
 
 
+class CardSide(BaseModel):
+    """The light on one side of a surface without shadows, unturned: the ``sky``, and the least
+    light.
+    """
+
+    sky: Colours
+    least: Triple
+
+
+class CardSurface(BaseModel):
+    """One of several surfaces: its ``isovalue`` in the units of the file, null for the one that
+    slides; the share ``clear`` of rays that pass it; and its ``albedo`` over that of local models.
+
+    Its outer side is towards lower values, its inner side towards higher ones.
+    """
+
+    isovalue: float | None
+    clear: float
+    albedo: Triple
+    outer: CardSide
+    inner: CardSide
+
+
 class CardTone(BaseModel):
     """Constants of the tone curve."""
 
@@ -202,6 +225,7 @@ class CardScene(BaseModel):
     lattice: CardLattice
     plan: CardPlan
     light: CardLight
+    surfaces: list[CardSurface] | None
     model: CardModel
     exposure: float
     tone: CardTone

@@ -174,6 +174,7 @@ export interface CardScene {
   lattice: CardLattice;
   plan: CardPlan;
   light: CardLight;
+  surfaces: Array<CardSurface> | null;
   model: CardModel;
   exposure: number;
   tone: CardTone;
@@ -199,6 +200,15 @@ export interface Card {
 }
 
 /**
+ * The light on one side of a surface without shadows, unturned: the `sky`, and the least
+ * light.
+ */
+export interface CardSide {
+  sky: [Array<number>, Array<number>, Array<number>];
+  least: [number, number, number];
+}
+
+/**
  * Layers of voxels, from the `first` to the one before the `last`, and the address of
  * their codes.
  */
@@ -206,6 +216,20 @@ export interface CardSlab {
   first: number;
   last: number;
   href: string;
+}
+
+/**
+ * One of several surfaces: its `isovalue` in the units of the file, null for the one that
+ * slides; the share `clear` of rays that pass it; and its `albedo` over that of local models.
+ *
+ * Its outer side is towards lower values, its inner side towards higher ones.
+ */
+export interface CardSurface {
+  isovalue: number | null;
+  clear: number;
+  albedo: [number, number, number];
+  outer: CardSide;
+  inner: CardSide;
 }
 
 /**

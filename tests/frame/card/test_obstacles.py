@@ -24,7 +24,7 @@ def view_of(scene: Scene, **settings: Any) -> View:
         ({"room": "cornell"}, ["rooms"]),
         ({"material": "glass"}, ["glass"]),
         ({"material": "subsurface", "mean_free_path": 2.0}, ["subsurface"]),
-        ({"surfaces": [{"isovalue": 0.1, "clear": 0.5}]}, ["several surfaces"]),
+        ({"surfaces": [{"isovalue": 0.1, "clear": 0.5}]}, []),
         ({"shine": {"kind": "plastic"}}, ["shine"]),
         ({"glow": [{"sphere": [40, 40, 40, 5]}]}, ["glow"]),
         ({"volumes": [{"use": "colour", "of": "gradient"}]}, []),

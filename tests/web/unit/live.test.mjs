@@ -2,7 +2,7 @@ import assert from "node:assert/strict";
 import { beforeEach, test } from "node:test";
 import { Refusal } from "../../../web/isogi_web/card/device.js";
 import { Live } from "../../../web/isogi_web/live/live.js";
-import { albedoOf, cardView, chunksQuery, documentQuery, lightQuery, viewNear } from "../../../web/isogi_web/live/view.js";
+import { albedoOf, cardView, chunksQuery, documentQuery, lightQuery, turnOf, viewNear } from "../../../web/isogi_web/live/view.js";
 import { troubleOf } from "../../../web/isogi_web/net/trouble.js";
 import { PAINTED, SCENE, FakeClock, knobs, settled } from "./fixtures.mjs";
 
@@ -376,6 +376,22 @@ test("chunks and light are asked for without what does not count", () => {
   const turn = { yaw: 20, pitch: 0, roll: 0 };
   assert.deepEqual(lightQuery(SCENE, values, turn), { environment: "studio", ...turn });
   assert.deepEqual(lightQuery(SCENE, values, null), { environment: "studio" });
+});
+
+test("light of pinned surfaces is asked for at the isovalue that is shown", () => {
+  const turn = { yaw: 0, pitch: 0, roll: 0 };
+  const scene = { ...SCENE, surfaces: [{ isovalue: 50 }] };
+  assert.deepEqual(lightQuery(scene, knobs({ isovalue: 80 }), turn), { isovalue: 80, ...turn });
+});
+
+test("light that is baked for each turn is another document at each, and lies still", () => {
+  const scene = { ...SCENE, turn_step: 5 };
+  const values = knobs({ yaw: 22, pitch: 0, roll: 0 });
+  const turn = { yaw: 20, pitch: 0, roll: 0 };
+  assert.deepEqual(documentQuery(scene, values), { ...turn, shading: "gi" });
+  assert.deepEqual(lightQuery(scene, values, turnOf(scene, values)), turn);
+  assert.deepEqual(cardView(scene, DOCUMENT, values).light, [1, 0, 0, 0]);
+  assert.deepEqual([viewNear(values, scene).yaw, viewNear(values).yaw], [22, 0]);
 });
 
 test("planes along no axis are a window of the card", () => {

@@ -3,11 +3,12 @@
  * is lost with the WebGL context.
  */
 
-import { codeOf, facesOf } from "./document.js";
+import { facesOf } from "./document.js";
 import { turnLight } from "./light.js";
 import { Picture, discOf, jitterOf } from "./picture.js";
 import { compile, joined, run } from "./programs.js";
 import { depthsOf, raysOf, shoulderLight, windowOf } from "./rays.js";
+import { codesOf, definesOf, uniformsOf } from "./surfaces.js";
 import { isRaw } from "./texels.js";
 import { drawInto, fillTexture, makeTexture } from "./textures.js";
 
@@ -58,7 +59,8 @@ export const keyOf = (light) => light.map((x) => x.toFixed(9)).join(" ");
  *   (shading: string) => Promise<Program>}>}
  * @throws {Error} if the card refuses a shader
  */
-export async function programsOf(gl, { grid, volume, colours, plan, light }, read) {
+export async function programsOf(gl, document, read) {
+  const { grid, volume, colours, plan, light } = document;
   // Constants of a scene are compiled into its programs, so that shaders skip what the scene lacks.
   const sampler = volume.type === "float32" ? "highp sampler3D" : "highp usampler3D";
   const common = {
@@ -75,14 +77,15 @@ export async function programsOf(gl, { grid, volume, colours, plan, light }, rea
     STRAIGHT: plan.straight,
     WHOLE: Number(plan.whole),
   };
+  const several = definesOf(document);
   const [view, fold, filter, show] = await Promise.all(
     ["view", "fold", "filter", "show"].map((name) => joined(`${name}.frag.glsl`, read)),
   );
   const compiled = [
-    compile(gl, view, { ...common, SHADING: 1 }),
+    compile(gl, view, { ...common, ...several, SHADING: 1 }),
     compile(gl, fold, { ...common, ...numbers }),
     compile(gl, filter, common),
-    compile(gl, show),
+    compile(gl, show, several),
   ];
   const [lit, folding, filtering, showing] = await Promise.all(compiled);
   return {
@@ -93,6 +96,7 @@ export async function programsOf(gl, { grid, volume, colours, plan, light }, rea
     makeLocal: (shading) =>
       compile(gl, view, {
         ...common,
+        ...several,
         SHADING: 0,
         LOBES: 0,
         SHADOW: Number(shading.endsWith("_shadow")),
@@ -187,7 +191,8 @@ export class Drawing {
     const picture = this.#pictureOf(size);
     picture.begin(n, size, band);
     run(this.gl, local ?? this.programs.lit, {
-      ...this.volume.at(codeOf(document, view.isovalue)),
+      ...this.volume.at(...codesOf(document, view.isovalue)),
+      ...uniformsOf(document, view.isovalue, { tops: this.volume.tops, bricks: this.texels.bricks }),
       ...this.colours.uniforms,
       ...raysOf(document.grid, view.camera, size[0], size[1]),
       ...lightOf(document, light),

@@ -16,6 +16,7 @@
  */
 
 import { ones, readBlocks } from "./blocks.js";
+import { Refusal } from "./device.js";
 import { bytesOf, fillTexture, makeTexture } from "./textures.js";
 
 /** @typedef {import("./blocks.js").Block} Block */
@@ -46,7 +47,12 @@ export class Texels {
    * @param {number} budget bytes for raw transfer
    * @param {Run[]} [runs] texels that were received before the card was lost
    */
-  constructor({ gl, most2d, layers }, { lattice, plan }, budget, runs = /** @type {Run[]} */ ([])) {
+  constructor(
+    { gl, most2d, most3d, layers },
+    { lattice, plan, surfaces },
+    budget,
+    runs = /** @type {Run[]} */ ([]),
+  ) {
     this.gl = gl;
     this.most = most2d;
     this.lattice = lattice;
@@ -56,7 +62,14 @@ export class Texels {
     this.layers = Math.ceil((this.numbers + 2) / 4);
     this.budget = this.layers <= layers ? budget : 0;
     this.wantsRaw = plan.turns || runs.some(({ raw }) => raw.size > 0);
-    this.shape = lattice.size.map((n) => Math.ceil(n / BRICK));
+    // Sides of several surfaces lie one behind the other along z, in whole chunks each.
+    const [x, y, z] = lattice.size.map((n) => Math.ceil(n / BRICK));
+    const whole = (Math.ceil(lattice.size[2] / lattice.chunk) * lattice.chunk) / BRICK;
+    /** Bricks of a side along z. */
+    this.deep = surfaces ? whole : z;
+    this.shape = [x, y, this.deep * (surfaces ? 2 * surfaces.length : 1)];
+    if (this.shape[2] > most3d)
+      throw new Refusal("The light of all surfaces is too deep for this card: the server draws.");
     this.table = new Uint32Array(4 * this.shape[0] * this.shape[1] * this.shape[2]);
     this.bricks = makeTexture(gl, "RGBA32UI", this.shape);
     this.records = makeTexture(gl, "RGBA32UI", [ROW, 1]);
@@ -248,8 +261,11 @@ export class Texels {
    * @param {number} mean number of the record
    */
   #spreadMean([x, y, z], mean) {
-    const [bx, by, bz] = this.shape;
-    for (let k = Math.max(z - REACH, 0); k <= Math.min(z + REACH, bz - 1); k++) {
+    const [bx, by] = this.shape;
+    // A mean stands in for bricks of its side alone.
+    const first = z - (z % this.deep);
+    const last = first + this.deep - 1;
+    for (let k = Math.max(z - REACH, first); k <= Math.min(z + REACH, last); k++) {
       for (let j = Math.max(y - REACH, 0); j <= Math.min(y + REACH, by - 1); j++) {
         for (let i = Math.max(x - REACH, 0); i <= Math.min(x + REACH, bx - 1); i++) {
           const away = Math.max(Math.abs(i - x), Math.abs(j - y), Math.abs(k - z));

@@ -57,8 +57,8 @@ export class Feed {
 
   /**
    * @param {LightCard} card
-   * @param {(what: "light"|"transfer", chunks: string[], turn: Angles) => Promise<ArrayBuffer>} ask
-   *   requests chunks of one kind under a rotation
+   * @param {(what: "light"|"transfer", chunks: string[], turn: Angles, values: Knobs) =>
+   *   Promise<ArrayBuffer>} ask requests chunks of one kind under a rotation, for a view
    * @param {Angles} turn rotation of the light at first
    * @param {() => void} onLight is called when the card has new light
    * @param {import("../net/trouble.js").Clock} [clock]
@@ -106,7 +106,7 @@ export class Feed {
       return;
     }
     next.chunks.forEach((name) => wanted.asked.add(`${next.what} ${name}`));
-    const answer = await this.#ask(next.what, next.chunks, this.#turn);
+    const answer = await this.#ask(next.what, next.chunks, this.#turn, wanted.values);
     if (this.#closed) return;
     next.chunks.forEach((name) => this.#note(placeOf(name)));
     this.#card.take(answer, fromAngles(this.#turn));

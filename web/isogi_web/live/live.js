@@ -10,11 +10,11 @@ import { MOST_DIFFER, pixelsOf, shareThatDiffers } from "./check.js";
 import { Feed } from "./feed.js";
 import {
   albedoOf,
-  anglesOf,
   cardView,
   chunksQuery,
   documentQuery,
   lightQuery,
+  turnOf,
   viewNear,
 } from "./view.js";
 
@@ -238,23 +238,25 @@ export class Live {
       this.#checked.clear();
       this.#unlit = isLocal(values.shading);
 
-      // Light is requested with the parameters of this view; transfer belongs to no rotation.
+      // Light is requested with the parameters of this view, at the isovalue that is shown by then;
+      // transfer belongs to no rotation.
       const ask = (
         /** @type {"light"|"transfer"} */ what,
         /** @type {string[]} */ chunks,
         /** @type {Angles} */ turn,
+        /** @type {Knobs} */ { isovalue },
       ) =>
         this.#source.blocks(
           what,
           chunks,
-          lightQuery(this.#scene, values, what === "light" ? turn : null),
+          lightQuery(this.#scene, { ...values, isovalue }, what === "light" ? turn : null),
         );
       this.#loaded = {
         key,
         look: this.#lookOf(values),
         albedo: albedoOf(this.#scene, values),
         facts,
-        feed: new Feed(card, ask, anglesOf(values), () => this.#refresh()),
+        feed: new Feed(card, ask, turnOf(this.#scene, values), () => this.#refresh()),
       };
       this.#list(true);
     } catch (error) {
@@ -414,7 +416,7 @@ export class Live {
     try {
       this.#bring(
         await this.#listOf(
-          chunksQuery(this.#scene, now ? values : viewNear(values), this.#hooks.size()),
+          chunksQuery(this.#scene, now ? values : viewNear(values, this.#scene), this.#hooks.size()),
         ),
       );
     } catch (error) {
@@ -441,7 +443,8 @@ export class Live {
   #bring(chunks) {
     if (!this.#loaded || !this.#values || isLocal(this.#values.shading)) return;
     this.#chunks = chunks;
-    this.#loaded.feed.bring(chunks, this.#values, this.#moving).catch((error) => {
+    const values = { ...this.#values, ...turnOf(this.#scene, this.#values) };
+    this.#loaded.feed.bring(chunks, values, this.#moving).catch((error) => {
       // After trouble with the server, the next list requests the light again.
       if (!(error instanceof Trouble)) this.#leave(error.message);
     });

@@ -26,6 +26,9 @@ const OF_DOCUMENT = [
   "shine",
   ...NUMBERS.filter((name) => UNITS[name] === "share"),
 ];
+/** Angles by which the light is turned. */
+const ANGLES = ["yaw", "pitch", "roll"];
+
 /** Parameters that a list of chunks does not depend on. */
 const OF_PICTURE = ["f", "overlay", "background", "exposure"];
 
@@ -54,7 +57,9 @@ function only(query, names) {
  */
 export function documentQuery(scene, values) {
   const query = frameQuery(scene, values, { width: 1, height: 1 });
-  return { ...only(query, OF_DOCUMENT), shading: "gi" };
+  // Light that is baked for each turn is another light at each.
+  const names = isTurnBaked(scene) ? [...OF_DOCUMENT, ...ANGLES] : OF_DOCUMENT;
+  return { ...only(query, names), shading: "gi" };
 }
 
 /**
@@ -77,38 +82,55 @@ export function chunksQuery(scene, values, { width, height }) {
  * Return a nearby view that reads almost the same chunks, one for many moving views.
  *
  * Camera angles are rounded. The light's rotation and the albedo, which no list depends on, are
- * reset. A visitor who turns the object thus causes few requests, and one who turns the light
- * causes none.
+ * reset, unless light is baked for each turn. A visitor who turns the object thus causes few
+ * requests, and one who turns the light causes none.
  *
  * @param {Knobs} values
+ * @param {Partial<Pick<Scene, "turn_step">>} [scene]
  * @returns {Knobs}
  */
-export function viewNear(values) {
+export function viewNear(values, { turn_step = null } = {}) {
   const near = (/** @type {number} */ angle) => STEP * Math.round(angle / STEP);
   return {
     ...values,
     albedo: undefined,
-    yaw: 0,
-    pitch: 0,
-    roll: 0,
+    ...(!turn_step && { yaw: 0, pitch: 0, roll: 0 }),
     azimuth: ((near(values.azimuth) + 540) % 360) - 180,
     elevation: near(values.elevation),
   };
 }
 
 /**
- * Return the parameters of the request for records of texels, or for their transfer.
+ * Return the parameters of the request for records of texels, or for their transfer. Light of pinned
+ * surfaces depends on the isovalue of the one that slides.
  * @param {Scene} scene
  * @param {Knobs} values
  * @param {Angles|null} turn rotation of the light; null for transfer, which depends on none
  * @returns {FrameQuery}
  */
 export function lightQuery(scene, values, turn) {
-  const query = only(
-    frameQuery(scene, values, { width: 1, height: 1 }),
-    turn ? [...VARIANT, "albedo"] : VARIANT,
-  );
-  return turn && scene.turns ? { ...query, ...anglesOf(turn) } : query;
+  const query = frameQuery(scene, values, { width: 1, height: 1 });
+  if (!turn) return only(query, VARIANT);
+  const names = [...VARIANT, "albedo", ...(scene.surfaces.length ? ["isovalue"] : [])];
+  if (isTurnBaked(scene)) return only(query, [...names, ...ANGLES]);
+  return { ...only(query, names), ...(scene.turns && anglesOf(turn)) };
+}
+
+/**
+ * Return true if the server bakes light for each of its turns, so that the card does not turn it.
+ * @param {Pick<Scene, "turn_step">} scene
+ * @returns {boolean}
+ */
+const isTurnBaked = ({ turn_step }) => Boolean(turn_step);
+
+/**
+ * Return the angles by which the card turns the light, degrees: none if it does not.
+ * @param {Pick<Scene, "turns"|"turn_step">} scene
+ * @param {Angles} values
+ * @returns {Angles} degrees
+ */
+export function turnOf(scene, values) {
+  return scene.turns && !isTurnBaked(scene) ? anglesOf(values) : { yaw: 0, pitch: 0, roll: 0 };
 }
 
 /**
@@ -148,7 +170,7 @@ export function cardView(scene, document, values, folded) {
   return {
     isovalue: values.isovalue,
     camera: { eye, target, up, fov: values.fov, parallel },
-    light: fromAngles(scene.turns ? values : { yaw: 0, pitch: 0, roll: 0 }),
+    light: fromAngles(turnOf(scene, values)),
     exposure: values.exposure,
     ...(folded && {
       albedo: vector((i) => (folded[i] > 0 ? albedoOf(scene, values)[i] / folded[i] : 1)),

@@ -38,6 +38,9 @@ vec3 shade(vec3 p, vec3 n, out float lacking) {
 #endif
 }
 
+#ifdef SURFACES
+#include "peels.glsl"
+#else
 // Sample the picture at a place, in pixels from its upper left corner.
 Seen see(vec2 at) {
   vec3 o = start + at.x * startRight + at.y * startDown, d = corner + at.x * right + at.y * down;
@@ -56,3 +59,4 @@ Seen see(vec2 at) {
   seen.cover = 1.0;
   return seen;
 }
+#endif
