@@ -1,5 +1,5 @@
-"""The card's pictures beside the server's: 20 views of six shared volumes, lobes, and texels that
-just became visible.
+"""The card's pictures beside the server's: 20 views of six shared volumes, lobes, shine, and texels
+that just became visible.
 
     python -m benchmarks.accuracy card -o FOLDER [--size 128] [--only engine]
 
@@ -69,7 +69,7 @@ SHOW = """card.drawing.show(card.last.view, card.last.size);
 class Case:
     """A view of a ``volume`` under a ``light``, by a name; ``kind`` says what is compared.
 
-    Its light has a ``turn`` of angles in degrees; ``after`` are the azimuth and the isovalue of the
+    Its light has a ``turn`` of angles in degrees, its ``shine`` a ``roughness``; ``after`` are the azimuth and the isovalue of the
     view that is drawn with the light of this one alone.
     """
 
@@ -82,6 +82,8 @@ class Case:
     parallel: bool = False
     kind: str = "texels"
     after: tuple[float, float] | None = None
+    shine: str = ""
+    roughness: float = 0.3
 
     @property
     def name(self) -> str:
@@ -90,6 +92,7 @@ class Case:
             ["turned"] * any(self.turn)
             + ["window"] * bool(self.window)
             + ["orthographic"] * self.parallel
+            + [f"{self.shine} {self.roughness:g}"] * bool(self.shine)
         )
         if self.after:
             more += [f"then {self.after[0]:g}° at {self.after[1]:g}"]
@@ -136,7 +139,13 @@ NEW = (
     Case("head", 110, "uffizi", kind="new", after=(55.0, 110.0)),
     Case("engine", 70, "uffizi", kind="new", after=(40.0, 80.0)),
 )
-CASES = (*TEXELS, *LOBES, *NEW)
+SHINE = tuple(
+    Case(*place, kind=kind, shine=shine, roughness=roughness)
+    for place in (("engine", 70, "uffizi"), ("head", 110, "noon_grass"))
+    for shine, roughness in (("plastic", 0.3), ("metal", 0.1), ("metal", 0.5))
+    for kind in ("moving shine", "shine at rest")
+)
+CASES = (*TEXELS, *LOBES, *NEW, *SHINE)
 GOALS = {
     "texels": (0.999, 0.002),
     "moving": (0.98, 0.02),

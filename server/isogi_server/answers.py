@@ -61,6 +61,7 @@ from isogi_server.card_schemas import (
     CardVolume,
     Colours,
 )
+from isogi_server.card_shine import card_shine
 from isogi_server.knobs import KNOBS
 from isogi_server.schemas import (
     CameraSchema,
@@ -501,6 +502,7 @@ def card_scene(renderer: Renderer, view: View, query: Sequence[tuple[str, str]])
         ),
         plan=plan_of(renderer),
         light=card_light(unturned),
+        shine=card_shine(unturned, query),
         model=card_model(unturned),
         exposure=scene.default_exposure,
         tone=TONE,

@@ -144,6 +144,35 @@ class CardLight(BaseModel):
     lobes: list[CardLobe]
 
 
+class CardSurroundings(BaseModel):
+    """The light from far away as lat-long images in its own axes, ``rows`` × 2 rows at first and
+    half of that at each further level, and the address of all: halves of linear RGB, in units of
+    ``brightness``.
+    """
+
+    rows: int
+    levels: int
+    brightness: float
+    bytes: int
+    href: str
+
+
+class CardShine(BaseModel):
+    """A microfacet lobe of GGX with this ``alpha``, which mirrors the share ``facing`` head on,
+    linear RGB, times its ``strength``.
+
+    A ``metal`` leaves the share 1 - strength of diffuse light. Other lobes leave 1 - strength (A
+    facing + B), with A and B of the table ``energy`` by √cosθ, and what they mirror is white.
+    """
+
+    alpha: float
+    facing: Triple
+    strength: float
+    metal: bool
+    energy: list[tuple[float, float]]
+    surroundings: CardSurroundings
+
+
 class CardModel(BaseModel):
     """Constants of the local models: the direction to the key light, its light and that of all
     other light on the albedo, and strength and exponent of Phong's highlight.
@@ -202,6 +231,7 @@ class CardScene(BaseModel):
     lattice: CardLattice
     plan: CardPlan
     light: CardLight
+    shine: CardShine | None
     model: CardModel
     exposure: float
     tone: CardTone

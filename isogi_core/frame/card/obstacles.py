@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from isogi_core.frame.features import FEATURES
+from isogi_core.frame.features import FEATURES, SHINE
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 
@@ -26,6 +26,10 @@ class Obstacle(NamedTuple):
 
 OTHER_SHADING = Obstacle("shading", f"This shading is drawn by the server: a card draws {SHOWN}.")
 
+SHINE_OF_LAMPS = Obstacle(
+    SHINE.name, "Lamps that a shiny surface mirrors are drawn by the server: a card mirrors skies."
+)
+
 VOLUME_TOO_LARGE = Obstacle(
     "volume too large",
     f"The volume, with its colours, takes more than {BYTES >> 20} MB: the server draws it.",
@@ -43,6 +47,8 @@ def find_obstacles(scene: Scene, view: View, nbytes: int) -> list[Obstacle]:
         for feature in FEATURES
         if feature.why_not_on_card and feature.is_shown(scene, view)
     ]
+    if SHINE.is_shown(scene, view) and scene.lighting.lamps.any:
+        found.append(SHINE_OF_LAMPS)
     if view.shading not in SHADINGS:
         found.append(OTHER_SHADING)
     if nbytes > BYTES:

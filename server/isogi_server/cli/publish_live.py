@@ -16,6 +16,7 @@ from isogi_core.files.scene_file import Settings as SceneSettings
 from isogi_core.files.spelling import shortest
 from isogi_core.frame.card.blocks import raw_scale
 from isogi_core.frame.card.coding import Coding, coding_for
+from isogi_core.frame.features import SHINE
 from isogi_core.frame.rays.control_pixels import TotalError
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import View
@@ -183,8 +184,10 @@ def refuse_obstacles(renderer: Renderer, view: View) -> None:
     light in texels.
     """
     renderer.prepared.scene.require_texels()
-    if found := card_obstacles(renderer.prepared, view, True):
-        reasons = " ".join(each.why for each in found)
+    reasons = " ".join(each.why for each in card_obstacles(renderer.prepared, view, True))
+    if not reasons and SHINE.is_shown(renderer.prepared.scene, view):
+        reasons = "It shines, and no error of shine is measured for pages."
+    if reasons:
         raise ViewError(
             f"A page without a server cannot draw this scene: {reasons} Publish pictures of it."
         )

@@ -58,7 +58,7 @@ export const keyOf = (light) => light.map((x) => x.toFixed(9)).join(" ");
  *   (shading: string) => Promise<Program>}>}
  * @throws {Error} if the card refuses a shader
  */
-export async function programsOf(gl, { grid, volume, colours, plan, light }, read) {
+export async function programsOf(gl, { grid, volume, colours, plan, light, shine }, read) {
   // Constants of a scene are compiled into its programs, so that shaders skip what the scene lacks.
   const sampler = volume.type === "float32" ? "highp sampler3D" : "highp usampler3D";
   const common = {
@@ -79,7 +79,7 @@ export async function programsOf(gl, { grid, volume, colours, plan, light }, rea
     ["view", "fold", "filter", "show"].map((name) => joined(`${name}.frag.glsl`, read)),
   );
   const compiled = [
-    compile(gl, view, { ...common, SHADING: 1 }),
+    compile(gl, view, { ...common, SHADING: 1, SHINE: Number(Boolean(shine)) }),
     compile(gl, fold, { ...common, ...numbers }),
     compile(gl, filter, common),
     compile(gl, show),
@@ -95,6 +95,7 @@ export async function programsOf(gl, { grid, volume, colours, plan, light }, rea
         ...common,
         SHADING: 0,
         LOBES: 0,
+        SHINE: 0,
         SHADOW: Number(shading.endsWith("_shadow")),
         FOG: Number(shading.endsWith("_fog")),
         HIGHLIGHT: Number(shading.startsWith("phong")),
@@ -110,14 +111,16 @@ export class Drawing {
    * @param {object} parts
    * @param {import("./volume.js").Volume} parts.volume
    * @param {import("./colours.js").Colours} parts.colours
+   * @param {import("./shine.js").Shine} parts.shine
    * @param {import("./texels.js").Texels} parts.texels
    * @param {Awaited<ReturnType<typeof programsOf>>} parts.programs
    */
-  constructor({ gl }, document, { volume, colours, texels, programs }) {
+  constructor({ gl }, document, { volume, colours, shine, texels, programs }) {
     this.gl = gl;
     this.document = document;
     this.volume = volume;
     this.colours = colours;
+    this.shine = shine;
     this.texels = texels;
     this.programs = programs;
     this.turned = makeTexture(gl, "RGBA32F", [document.plan.channels * document.plan.columns, 1]);
@@ -161,9 +164,10 @@ export class Drawing {
 
   /** Free the card's memory. */
   release() {
-    const { gl, volume, colours, texels, programs } = this;
+    const { gl, volume, colours, shine, texels, programs } = this;
     this.picture?.release();
-    const textures = [...volume.textures, ...colours.textures, ...texels.textures];
+    const parts = [volume, colours, shine, texels];
+    const textures = parts.flatMap((part) => part.textures);
     for (const { id } of [this.turned, ...textures]) gl.deleteTexture(id);
     const { lit, fold, filter, show } = programs;
     for (const program of [lit, fold, filter, show, ...this.local.values()])
@@ -189,6 +193,7 @@ export class Drawing {
     run(this.gl, local ?? this.programs.lit, {
       ...this.volume.at(codeOf(document, view.isovalue)),
       ...this.colours.uniforms,
+      ...this.shine.at(light, n),
       ...raysOf(document.grid, view.camera, size[0], size[1]),
       ...lightOf(document, light),
       ...(local && modelOf(document, light, view.camera)),

@@ -15,6 +15,7 @@ from fastapi import APIRouter, Request, Response
 
 from isogi_core.bake.noise import Goal
 from isogi_core.frame.card.blocks import known_light, known_transfer
+from isogi_core.frame.card.blurred_surroundings import blurred_surroundings
 from isogi_core.frame.card.colour_codes import ColourCodes
 from isogi_core.frame.card.looks import Look, SeenChunk, look_at
 from isogi_core.frame.known_blocks import Packed, Part
@@ -194,6 +195,27 @@ async def read_colours(
         first, last = layers_of(layers, depth, most)
         body = found.layers(first, last).tobytes()
         return binary_answer(request, [Part(body)], params.version == found.version)
+
+    return await service.compute(request, work)
+
+
+@router.get(
+    "/surroundings",
+    response_class=Response,
+    openapi_extra=documented(VoxelParams),
+    responses=PARTS,
+)
+async def read_surroundings(
+    request: Request, scene: SceneDep, params: VoxelParamsDep, service: ServiceDep
+) -> Response:
+    """Return the light from far away as lat-long images, each more blurred than the one before, for
+    surfaces that mirror it. The document of the card says how large they are.
+    """
+    variant = await open_scene(request, service, scene, params)
+
+    def work() -> Response:
+        found = blurred_surroundings(variant.lighting.environment)
+        return binary_answer(request, [Part(found.tobytes())], params.version == found.version)
 
     return await service.compute(request, work)
 

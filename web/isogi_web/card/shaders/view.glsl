@@ -9,6 +9,9 @@
 #if SHADING == 1
 #include "irradiance_ratio.glsl"
 #include "lobes.glsl"
+#if SHINE == 1
+#include "shine.glsl"
+#endif
 #else
 #include "local_models.glsl"
 uniform vec3 albedo; // Albedo that is shown, relative to that of the document.
@@ -38,6 +41,37 @@ vec3 shade(vec3 p, vec3 n, out float lacking) {
 #endif
 }
 
+#if SHINE == 1
+// Light that leaves a shiny surface at p with normal n against the ray d: what the lobe leaves of
+// diffuse light, and what its rays bring. A surface that they meet is diffuse.
+vec3 shade_shiny(vec3 p, vec3 n, vec3 d, out float lacking) {
+  mat3 frame = frame_about(n);
+  vec3 v = -normalize(d * spacing) * frame, start = launch(p, n), light = vec3(0.0);
+  v = normalize(vec3(v.xy, max(abs(v.z), LEAST_VIEW)));
+  lacking = 0.0;
+  // The surface itself comes first: as one loop shades all points, drivers compile `shade` once.
+  for (int k = -1; k < strata * strata; k++) {
+    vec3 share = light_below(v.z), at = p, normal_at = n;
+    if (k >= 0) {
+      vec3 l = sample_reflected(v, (vec2(k % strata, k / strata) + spot) / float(strata)), w = frame * l;
+      if (!(l.z > 0.0)) continue;
+      share = weight_of(v, l) / float(strata * strata);
+      float t = cast_ray(start, w / spacing, OUTSIDE);
+      if (t < 0.0) {
+        light += share * far_light(w, reflected_pdf(v, l));
+        continue;
+      }
+      at = start + t * w / spacing;
+      normal_at = find_normal(at, w / spacing);
+    }
+    float lacks;
+    light += share * shade(at, normal_at, lacks);
+    if (k < 0) lacking = lacks;
+  }
+  return light;
+}
+#endif
+
 // Sample the picture at a place, in pixels from its upper left corner.
 Seen see(vec2 at) {
   vec3 o = start + at.x * startRight + at.y * startDown, d = corner + at.x * right + at.y * down;
@@ -52,7 +86,12 @@ Seen see(vec2 at) {
   if (t < 0.0 || part.x + t > part.y) return seen;
   seen.point = o + t * d;
   if (!opened) seen.normal = find_normal(seen.point, d);
-  seen.light = opened ? face_tint(seen.point) * paint(seen.point) : shade(seen.point, seen.normal, seen.lacking);
+  if (opened) seen.light = face_tint(seen.point) * paint(seen.point);
+#if SHINE == 1
+  else seen.light = shade_shiny(seen.point, seen.normal, d, seen.lacking);
+#else
+  else seen.light = shade(seen.point, seen.normal, seen.lacking);
+#endif
   seen.cover = 1.0;
   return seen;
 }
