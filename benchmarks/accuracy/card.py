@@ -69,8 +69,8 @@ SHOW = """card.drawing.show(card.last.view, card.last.size);
 class Case:
     """A view of a ``volume`` under a ``light``, by a name; ``kind`` says what is compared.
 
-    Its light has a ``turn`` of angles in degrees, its ``shine`` a ``roughness``; ``after`` are the azimuth and the isovalue of the
-    view that is drawn with the light of this one alone.
+    Its light has a ``turn`` of angles in degrees; its ``shine`` has a ``roughness``; ``after`` are
+    the azimuth and the isovalue of the view that is drawn with the light of this one alone.
     """
 
     volume: str
@@ -151,6 +151,8 @@ GOALS = {
     "moving": (0.98, 0.02),
     "rest": (0.992, 0.005),
     "new": (0.94, 0.03),
+    "moving shine": (0.5, 0.2),
+    "shine at rest": (0.8, 0.1),
 }
 """The share of surface pixels within 2/255 that is asked for at least, and the relative RMSE at
 most, by kind.
@@ -161,6 +163,8 @@ KINDS = {
     "moving": "lobes while the view moves, beside the server at rest",
     "rest": "lobes at rest, beside the server at rest, away from edges",
     "new": "texels that just became visible, before any was sent",
+    "moving shine": "shine while the view moves, beside the server's final picture",
+    "shine at rest": "shine at rest, beside the server's final picture, away from edges",
 }
 
 
@@ -227,6 +231,8 @@ def scene_for(case: Case) -> Scene:
         "isovalue": case.isovalue,
         "lights": [dict(LIGHTS[case.light])],
     }
+    if case.shine:
+        given["shine"] = {"kind": case.shine, "roughness": case.roughness}
     return build_scene(
         SceneSource(case.volume, {**given, "target_error": TARGET, "projected": False}, data)
     )
@@ -251,6 +257,8 @@ def measure(case: Case, lab: Lab, folder: Path, size: int) -> Found:
     exposure = bench.scene.default_exposure
     if case.kind == "rest":
         return at_rest(bench, shown, view, exposure, sent)
+    if case.shine:
+        return beside_final(bench, shown, view, exposure, sent, case.kind == "shine at rest")
     light, on = plain_light(bench.renderer, view, TARGET)
     if case.kind == "moving":
         light = bench.renderer.render(view, Goal.checked(TARGET)).radiance
@@ -267,7 +275,7 @@ FINE = 3
 are seen by none.
 """
 
-LOBES_OF = {"texels": False, "moving": True, "rest": True, "new": False}
+LOBES_OF = {kind: kind not in ("texels", "new") for kind in KINDS}
 """Whether lobes are drawn, by kind."""
 
 
@@ -293,6 +301,26 @@ def at_rest(bench: Workbench, shown: CardScene, view: View, exposure: float, sen
     return Found(
         within, rmse, int(flat.sum()), int((on != (picture.covers > 0.5))[flat].sum()), sent
     )
+
+
+def beside_final(
+    bench: Workbench, shown: CardScene, view: View, exposure: float, sent: int, rest: bool
+) -> Found:
+    """The card's picture beside the server's final one, whose noise is half of the target.
+
+    Pixels at edges are left out, as in ``at_rest``.
+    """
+    frame = bench.settled(view, TARGET)
+    drawn = shown.picture(view, rest=rest, exposure=exposure)
+    on = frame.state > 0
+    edges = smooth_edges(frame, bench.prepared, bench.renderer.tiles).edges
+    flat = on & (drawn.covers == 1.0)
+    flat.reshape(-1)[edges.pixels if edges else []] = False
+    found = difference(
+        replace(drawn, covers=flat), np.where(flat[..., None], frame.radiance, 0.0), flat, exposure
+    )
+    torn = int((on != (drawn.covers > 0.5)).sum())
+    return Found(found.within, found.rmse, found.surface, torn, sent)
 
 
 def view_of(case: Case, bench: Workbench, size: int) -> View:

@@ -158,18 +158,17 @@ class CardSurroundings(BaseModel):
 
 
 class CardShine(BaseModel):
-    """A microfacet lobe of GGX with this ``alpha``, which mirrors the share ``facing`` head on,
-    linear RGB, times its ``strength``.
+    """The shine of a surface: ``kind``, ``roughness`` and ``strength`` of its lobe, as the view
+    asks for them; others need no other document.
 
-    A ``metal`` leaves the share 1 - strength of diffuse light. Other lobes leave 1 - strength (A
-    facing + B), with A and B of the table ``energy`` by √cosθ, and what they mirror is white.
+    Head on, metal mirrors its ``albedo``, and plastic the share ``plastic``.
     """
 
-    alpha: float
-    facing: Triple
+    kind: str
+    roughness: float
     strength: float
-    metal: bool
-    energy: list[tuple[float, float]]
+    plastic: float
+    albedo: Triple
     surroundings: CardSurroundings
 
 

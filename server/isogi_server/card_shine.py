@@ -3,27 +3,29 @@
 from collections.abc import Sequence
 from urllib.parse import urlencode
 
+from isogi_core.files.vector import triple
 from isogi_core.frame.card.blurred_surroundings import blurred_surroundings
 from isogi_core.frame.lighting import RotatedLight
-from isogi_core.frame.rays.shine import lobe_of
+from isogi_core.frame.rays.shine import PLASTIC
 from isogi_server.card_schemas import CardShine, CardSurroundings
 
 
 def card_shine(light: RotatedLight, query: Sequence[tuple[str, str]]) -> CardShine | None:
-    """Return the lobe of the surface under a ``light``, and the surroundings that it mirrors; None
-    if the surface is diffuse. The address of the surroundings carries the ``query``.
+    """Return the shine of the surface under a ``light``, and the surroundings that it mirrors; None
+    if the scene's surface is diffuse. The address of the surroundings carries the ``query``.
     """
-    if light.shine is None:
+    scene = light.spec.prepared.scene
+    shine = light.view.shine or scene.surfaces.shine
+    if shine is None:
         return None
-    lobe = lobe_of(light)
-    around = blurred_surroundings(light.spec.prepared.scene.lighting.environment)
+    around = blurred_surroundings(scene.lighting.environment)
     more = urlencode([*query, ("version", around.version)])
     return CardShine(
-        alpha=lobe.alpha,
-        facing=lobe.facing,
-        strength=lobe.strength,
-        metal=lobe.metal,
-        energy=lobe.energy.tolist(),
+        kind=shine.kind,
+        roughness=shine.roughness,
+        strength=shine.strength,
+        plastic=PLASTIC,
+        albedo=triple(light.albedo),
         surroundings=CardSurroundings(
             rows=around.rows,
             levels=len(around.levels),

@@ -174,6 +174,7 @@ export interface CardScene {
   lattice: CardLattice;
   plan: CardPlan;
   light: CardLight;
+  shine: CardShine | null;
   model: CardModel;
   exposure: number;
   tone: CardTone;
@@ -199,12 +200,40 @@ export interface Card {
 }
 
 /**
+ * The shine of a surface: `kind`, `roughness` and `strength` of its lobe, as the view
+ * asks for them; others need no other document.
+ *
+ * Head on, metal mirrors its `albedo`, and plastic the share `plastic`.
+ */
+export interface CardShine {
+  kind: string;
+  roughness: number;
+  strength: number;
+  plastic: number;
+  albedo: [number, number, number];
+  surroundings: CardSurroundings;
+}
+
+/**
  * Layers of voxels, from the `first` to the one before the `last`, and the address of
  * their codes.
  */
 export interface CardSlab {
   first: number;
   last: number;
+  href: string;
+}
+
+/**
+ * The light from far away as lat-long images in its own axes, `rows` × 2 rows at first and
+ * half of that at each further level, and the address of all: halves of linear RGB, in units of
+ * `brightness`.
+ */
+export interface CardSurroundings {
+  rows: number;
+  levels: number;
+  brightness: number;
+  bytes: number;
   href: string;
 }
 

@@ -38,16 +38,17 @@ VOLUME_TOO_LARGE = Obstacle(
 
 def find_obstacles(scene: Scene, view: View, nbytes: int) -> list[Obstacle]:
     """Return all reasons why a card cannot draw a ``view`` of a ``scene`` whose voxels and colours
-    take ``nbytes`` bytes; none if it can.
-
-    Raises ViewError if views of the scene may not ask for the view's shine.
+    take ``nbytes`` bytes; none if it can. Raises ViewError if the scene cannot shine as the view
+    asks.
     """
     found = [
         Obstacle(feature.name, feature.why_not_on_card)
         for feature in FEATURES
         if feature.why_not_on_card and feature.is_shown(scene, view)
     ]
-    if SHINE.is_shown(scene, view) and scene.lighting.lamps.any:
+    # A document serves all strengths of shine: a scene that shines may be asked for any.
+    scene.surfaces.shine_for(view.shine)
+    if SHINE.present(scene) and scene.lighting.lamps.any:
         found.append(SHINE_OF_LAMPS)
     if view.shading not in SHADINGS:
         found.append(OTHER_SHADING)

@@ -404,8 +404,8 @@ def test_surroundings_come_from_the_address_in_the_document(
         answer = found.get(f"/v1/scenes/{scene.id}/card").json()
         assert answer["drawable"], answer["reason"]
         shine = answer["scene"]["shine"]
-        assert (shine["metal"], shine["alpha"]) == (True, pytest.approx(0.16))
-        assert shine["facing"] == pytest.approx(scene.surfaces.albedo)
+        assert (shine["kind"], shine["roughness"], shine["strength"]) == ("metal", 0.4, 1.0)
+        assert shine["albedo"] == pytest.approx(scene.surfaces.albedo)
         facts = shine["surroundings"]
         parts = found.get(f"/v1/scenes/{scene.id}/{facts['href']}")
         assert parts.headers["cache-control"] == FOR_EVER
@@ -415,8 +415,8 @@ def test_surroundings_come_from_the_address_in_the_document(
         levels = blurred_surroundings(scene.lighting.environment).levels
         assert np.array_equal(halves[: sizes[0]], levels[0].ravel())
         assert np.array_equal(halves[-sizes[-1] :], levels[-1].ravel())
-        dull = found.get(f"/v1/scenes/{scene.id}/card", params={"roughness": 0.5}).json()["scene"]
-        assert dull["shine"]["surroundings"] == facts, "other lobes mirror the same"
+        dull = found.get(f"/v1/scenes/{scene.id}/card", params={"strength": 0}).json()["scene"]
+        assert dull["shine"] == {**shine, "strength": 0.0}, "any lobe mirrors the same"
 
 
 def test_colours_come_from_the_addresses_in_the_document(scene_file: Path, tmp_path: Path) -> None:

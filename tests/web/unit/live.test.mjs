@@ -407,3 +407,21 @@ test("the error of the card's pictures is predicted once all their light is here
   live.rest(A, LIT, [{ ...chunks[0], final: false }, chunks[1]]);
   assert.equal(live.predicted, null, "one converges");
 });
+
+test("a shiny view has no predicted error, and is compared with a final picture", async () => {
+  const shine = { surroundings: { href: "card/surroundings" } };
+  const document = { drawable: true, reason: "", scene: { ...DOCUMENT, shine, target: 0.03, expected: 0.04 } };
+  await ready({ document });
+  assert.deepEqual(asked.filter(([kind]) => kind === "bytes").at(-1), ["bytes", "card/surroundings"]);
+  card.drawing = { texels: { chunks: new Map([["0.0.1", { version: "1a" }]]) } };
+  const chunks = [{ at: "0.0.1", version: "1a", final: true }];
+  live.rest(A, { ...LIT, provisional: true }, chunks);
+  await clock.pass(2000);
+  assert.deepEqual([live.shines, live.predicted, card.drawn.length], [true, null, 0], "not with a picture of single rays");
+  live.rest(A, { ...LIT, provisional: false }, chunks);
+  await clock.pass(2000);
+  assert.equal(card.drawn.length, 1);
+  assert.equal(live.shines, true);
+  live.show(knobs({ shading: "phong" }));
+  assert.deepEqual([live.shines, live.predicted], [false, 0], "local models do not shine");
+});

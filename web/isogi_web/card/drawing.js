@@ -28,6 +28,8 @@ import { drawInto, fillTexture, makeTexture } from "./textures.js";
  * @property {readonly import("./rays.js").Plane[]} [window] planes that hide matter from the eye,
  *   in the world; 12 at most
  * @property {boolean} [marked] true if pixels whose texels have no light are hatched
+ * @property {import("./shine.js").Lobe} [shine] lobe of a surface that shines, by default that of
+ *   the document
  * @property {string} [shading] a local model that is drawn in place of the light of texels, which
  *   is `gi`
  */
@@ -54,8 +56,9 @@ export const keyOf = (light) => light.map((x) => x.toFixed(9)).join(" ");
  * @param {WebGL2RenderingContext} gl
  * @param {CardDocument} document
  * @param {(name: string) => Promise<string>} read returns the text of a shader's file
- * @returns {Promise<{lit: Program, fold: Program, filter: Program, show: Program, makeLocal:
- *   (shading: string) => Promise<Program>}>}
+ * @returns {Promise<{lit: Program, fold: Program, filter: Program, show: Program, energy:
+ *   Program|null, makeLocal: (shading: string) => Promise<Program>}>} `energy` is that of lobes, if
+ *   the scene shines
  * @throws {Error} if the card refuses a shader
  */
 export async function programsOf(gl, { grid, volume, colours, plan, light, shine }, read) {
@@ -75,8 +78,8 @@ export async function programsOf(gl, { grid, volume, colours, plan, light, shine
     STRAIGHT: plan.straight,
     WHOLE: Number(plan.whole),
   };
-  const [view, fold, filter, show] = await Promise.all(
-    ["view", "fold", "filter", "show"].map((name) => joined(`${name}.frag.glsl`, read)),
+  const [view, fold, filter, show, energy] = await Promise.all(
+    ["view", "fold", "filter", "show", "energy"].map((name) => joined(`${name}.frag.glsl`, read)),
   );
   const compiled = [
     compile(gl, view, { ...common, SHADING: 1, SHINE: Number(Boolean(shine)) }),
@@ -84,12 +87,16 @@ export async function programsOf(gl, { grid, volume, colours, plan, light, shine
     compile(gl, filter, common),
     compile(gl, show),
   ];
-  const [lit, folding, filtering, showing] = await Promise.all(compiled);
+  const [[lit, folding, filtering, showing], measuring] = await Promise.all([
+    Promise.all(compiled),
+    shine ? compile(gl, energy) : null,
+  ]);
   return {
     lit,
     fold: folding,
     filter: filtering,
     show: showing,
+    energy: measuring,
     makeLocal: (shading) =>
       compile(gl, view, {
         ...common,
@@ -169,8 +176,8 @@ export class Drawing {
     const parts = [volume, colours, shine, texels];
     const textures = parts.flatMap((part) => part.textures);
     for (const { id } of [this.turned, ...textures]) gl.deleteTexture(id);
-    const { lit, fold, filter, show } = programs;
-    for (const program of [lit, fold, filter, show, ...this.local.values()])
+    const { lit, fold, filter, show, energy } = programs;
+    for (const program of [lit, fold, filter, show, energy, ...this.local.values()])
       if (program) gl.deleteProgram(program.id);
   }
 
@@ -188,12 +195,13 @@ export class Drawing {
     const local = this.local.get(view.shading ?? "gi");
     // Local models read no texels: their light stays as it is.
     const records = local ? this.texels.records : this.#fold(light, keyOf(view.light));
+    const shine = local ? {} : this.shine.at(this.programs.energy, view.shine, light, n);
     const picture = this.#pictureOf(size);
     picture.begin(n, size, band);
     run(this.gl, local ?? this.programs.lit, {
       ...this.volume.at(codeOf(document, view.isovalue)),
       ...this.colours.uniforms,
-      ...this.shine.at(light, n),
+      ...shine,
       ...raysOf(document.grid, view.camera, size[0], size[1]),
       ...lightOf(document, light),
       ...(local && modelOf(document, light, view.camera)),

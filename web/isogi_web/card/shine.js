@@ -4,13 +4,18 @@
  */
 
 import { halton, SAMPLES } from "./picture.js";
-import { fillTexture, makeTexture } from "./textures.js";
+import { run } from "./programs.js";
+import { drawInto, makeTexture } from "./textures.js";
 
 /** @typedef {import("./document.js").CardDocument} CardDocument */
-/** @typedef {import("./document.js").Vec3} Vec3 */
+/** @typedef {import("./programs.js").Program} Program */
 /** @typedef {import("./textures.js").Texture} Texture */
 
+/** @typedef {{kind: string, roughness: number, strength: number}} Lobe as views ask for it */
+
+const ENERGY_STEPS = 128; // of the kernel, isogi_core/kernels/transport/microfacets.py
 const STRATA = 2; // rays of a wide lobe along each side of the square that maps to it
+const TAIL = 0.25; // share of facets, the steepest ones, that have no rays in a moving view
 
 /**
  * Return the bytes of the surroundings among the slabs of a scene.
@@ -22,10 +27,14 @@ export function surroundingsIn({ shine }, slabs) {
   return new Uint16Array(shine ? slabs[slabs.length - 1] : 0);
 }
 
-/** The shine of a scene on a card; without textures if it has none. */
+/**
+ * The shine of a scene on a card; without textures if it has none. A scene that shines may be drawn
+ * with any lobe.
+ */
 export class Shine {
+  #gl;
   #shine;
-  #strata = 1;
+  #roughness = NaN; // that of the lobe whose energy is known
 
   /**
    * @param {import("./device.js").Device} device
@@ -33,41 +42,63 @@ export class Shine {
    * @param {Uint16Array} halves see `surroundingsIn`
    */
   constructor({ gl }, { shine }, halves) {
+    this.#gl = gl;
     this.#shine = shine;
     this.source = halves;
     /** @type {Texture[]} */
     this.textures = [];
     if (!shine) return;
-    // A lobe that the surroundings do not resolve needs one ray.
-    if (shine.alpha > Math.PI / shine.surroundings.rows) this.#strata = STRATA;
-    const energy = makeTexture(gl, "RGBA32F", [shine.energy.length, 1]);
-    fillTexture(gl, energy, new Float32Array(shine.energy.flatMap(([a, b]) => [a, b, 0, 0])));
+    const energy = makeTexture(gl, "RGBA16F", [ENERGY_STEPS + 1, 1]);
     this.textures = [energy, makeLevels(gl, shine.surroundings, halves)];
   }
 
   /**
-   * Return the uniforms of sample n of a picture.
+   * Return the uniforms of sample n of a picture. They are to be asked for before the picture
+   * begins, as the energy of another lobe is drawn first.
+   * @param {Program|null} program that draws the energy of lobes
+   * @param {Lobe|undefined} lobe by default that of the document
    * @param {import("./light.js").TurnedLight} light
    * @param {number} n
    * @returns {Record<string, import("./programs.js").Value>}
    */
-  at({ matrix }, n) {
-    if (!this.#shine) return {};
-    const { alpha, facing, strength, metal, surroundings } = this.#shine;
-    const rays = this.#strata ** 2;
+  at(program, lobe, { matrix }, n) {
+    if (!this.#shine || !program) return {};
+    const { albedo, plastic, surroundings } = this.#shine;
+    const { kind, roughness, strength } = lobe ?? this.#shine;
+    if (this.#roughness !== roughness) this.#measure(program, roughness);
+    const alpha = roughness ** 2;
+    // A lobe that the surroundings do not resolve needs one ray, and none if it counts nothing.
+    const wide = alpha > Math.PI / surroundings.rows ? STRATA : 1;
+    const strata = strength > 0 ? wide : 0;
     return {
       alpha,
-      facing,
       strength,
-      metal: Number(metal),
+      strata,
+      metal: Number(kind === "metal"),
+      facing: kind === "metal" ? albedo : [plastic, plastic, plastic],
       energy: this.textures[0],
       surroundings: this.textures[1],
       brightness: surroundings.brightness,
       turned: matrix.flat(),
-      strata: this.#strata,
+      reflecting: albedo,
       spot: n === 0 ? [0.5, 0.5] : [halton(n, 2), halton(n, 3)],
-      together: n === 0 ? rays : rays * SAMPLES,
+      first_ray: n * strata ** 2,
+      together: strata ** 2 * (n === 0 ? 1 : SAMPLES),
+      tail: n === 0 ? TAIL : 0,
     };
+  }
+
+  /**
+   * Draw the energy of a lobe.
+   * @param {Program} program
+   * @param {number} roughness
+   */
+  #measure(program, roughness) {
+    const framebuffer = drawInto(this.#gl, this.textures[0]);
+    this.#gl.viewport(0, 0, ENERGY_STEPS + 1, 1);
+    run(this.#gl, program, { alpha: roughness ** 2, steps: ENERGY_STEPS });
+    this.#gl.deleteFramebuffer(framebuffer);
+    this.#roughness = roughness;
   }
 }
 

@@ -6,7 +6,13 @@
 import { Refusal } from "../card/device.js";
 import { isDrawn, isLocal, slabsOf } from "../card/document.js";
 import { Trouble } from "../net/trouble.js";
-import { MOST_DIFFER, pixelsOf, shareThatDiffers } from "./check.js";
+import {
+  AROUND_SHINY,
+  MOST_DIFFER,
+  MOST_DIFFER_SHINY,
+  pixelsOf,
+  shareThatDiffers,
+} from "./check.js";
 import { Feed } from "./feed.js";
 import {
   albedoOf,
@@ -153,8 +159,8 @@ export class Live {
 
   /** Return true if the card's pictures show shine, by few rays. @returns {boolean} */
   get shines() {
-    const local = this.#values && isLocal(this.#values.shading);
-    return Boolean(this.#loaded?.facts.shine) && !local;
+    if (!this.#values || isLocal(this.#values.shading)) return false;
+    return Boolean(this.#loaded?.facts.shine) && this.#values.strength !== 0;
   }
 
   /**
@@ -388,11 +394,12 @@ export class Live {
       return;
     }
     const server = pixelsOf(this.#hooks.picture?.() ?? null, this.#canvas);
-    const share = server && shareThatDiffers(card.read(), server, this.#canvas, error);
+    const around = this.shines ? AROUND_SHINY : 0;
+    const share = server && shareThatDiffers(card.read(), server, this.#canvas, error, around);
     if (share === null) return; // try again with another picture of the server
     this.#check = null;
     this.#checked.add(check.values.shading);
-    if (share <= MOST_DIFFER) return;
+    if (share <= (this.shines ? MOST_DIFFER_SHINY : MOST_DIFFER)) return;
     const reason = `The graphics card draws ${Math.round(100 * share)} % of the pixels differently from the server: the server draws.`;
     this.#leave(reason);
     this.#hooks.refused(reason);

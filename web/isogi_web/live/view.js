@@ -20,11 +20,13 @@ import { fromAngles, vector } from "../view/rotation.js";
 /** Parameters that the transfer of texels depends on. */
 const VARIANT = ["environment", "cut", "time", "smooth", "surfaces", "hide", "material"];
 
+/** Parameters of a lobe, which a card draws by any document of a scene that shines. */
+const OF_LOBE = ["shine", "roughness", "strength"];
+
 /** Parameters that a scene's document depends on. */
 const OF_DOCUMENT = [
   ...VARIANT,
-  "shine",
-  ...NUMBERS.filter((name) => UNITS[name] === "share"),
+  ...NUMBERS.filter((name) => UNITS[name] === "share" && !OF_LOBE.includes(name)),
 ];
 /** Parameters that a list of chunks does not depend on. */
 const OF_PICTURE = ["f", "overlay", "background", "exposure"];
@@ -152,6 +154,9 @@ export function cardView(scene, document, values, folded) {
     exposure: values.exposure,
     ...(folded && {
       albedo: vector((i) => (folded[i] > 0 ? albedoOf(scene, values)[i] / folded[i] : 1)),
+    }),
+    ...(values.shine && {
+      shine: { kind: values.shine, roughness: values.roughness, strength: values.strength },
     }),
     ground: document.grounds[ground(values)],
     window: planesOf(cutQuery(values).window ?? ""),

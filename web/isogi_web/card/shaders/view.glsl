@@ -43,30 +43,46 @@ vec3 shade(vec3 p, vec3 n, out float lacking) {
 
 #if SHINE == 1
 // Light that leaves a shiny surface at p with normal n against the ray d: what the lobe leaves of
-// diffuse light, and what its rays bring. A surface that they meet is diffuse.
+// diffuse light, and what its rays bring. A surface that they meet is diffuse. Where most of its
+// texels are not here, a path goes on from there; kernel: paths_from of
+// isogi_core/frame/rays/shine.py.
 vec3 shade_shiny(vec3 p, vec3 n, vec3 d, out float lacking) {
   mat3 frame = frame_about(n);
   vec3 v = -normalize(d * spacing) * frame, start = launch(p, n), light = vec3(0.0);
   v = normalize(vec3(v.xy, max(abs(v.z), LEAST_VIEW)));
-  lacking = 0.0;
-  // The surface itself comes first: as one loop shades all points, drivers compile `shade` once.
+  // Ray -1 is the surface itself: as one loop shades all points, drivers compile `shade` once.
   for (int k = -1; k < strata * strata; k++) {
-    vec3 share = light_below(v.z), at = p, normal_at = n;
-    if (k >= 0) {
-      vec3 l = sample_reflected(v, (vec2(k % strata, k / strata) + spot) / float(strata)), w = frame * l;
+    bool mirrored = k >= 0;
+    vec3 share = light_below(v.z), at = p, facing_at = n, w = n;
+    float density = 1.0, lacks;
+    if (mirrored) {
+      vec3 l = sample_reflected(v, place_of(k));
       if (!(l.z > 0.0)) continue;
       share = weight_of(v, l) / float(strata * strata);
-      float t = cast_ray(start, w / spacing, OUTSIDE);
-      if (t < 0.0) {
-        light += share * far_light(w, reflected_pdf(v, l));
-        continue;
-      }
-      at = start + t * w / spacing;
-      normal_at = find_normal(at, w / spacing);
+      w = frame * l;
+      at = start;
+      density = reflected_pdf(v, l);
     }
-    float lacks;
-    light += share * shade(at, normal_at, lacks);
-    if (k < 0) lacking = lacks;
+    for (int step = 0; step < LONGEST; step++) {
+      float t = mirrored ? cast_ray(at, w / spacing, OUTSIDE) : 0.0;
+      if (t < 0.0) {
+        light += share * far_light(w, density);
+        break;
+      }
+      if (mirrored) {
+        at += t * w / spacing;
+        facing_at = find_normal(at, w / spacing);
+      }
+      vec3 there = shade(at, facing_at, lacks);
+      if (!mirrored) lacking = lacks;
+      if (!mirrored || lacks < 0.5 || step == LONGEST - 1) {
+        light += share * there;
+        break;
+      }
+      share *= reflecting * albedo * tint(at);
+      at = launch(at, facing_at);
+      w = scatter(facing_at, k, step, density);
+    }
   }
   return light;
 }
