@@ -32,7 +32,7 @@ def view_at(bench: Workbench, **settings: Any) -> View:
     return bench.view(size=SIZE[0], **settings)
 
 
-INCLUDES = ["intersect.glsl", "field.glsl", "irradiance_ratio.glsl", "shine.glsl"]
+INCLUDES = ["intersect.glsl", "field.glsl", "irradiance_ratio.glsl", "lobes.glsl", "shine.glsl"]
 KINDS = {
     "plastic": {"kind": "plastic", "roughness": 0.5, "strength": 0.8},
     "metal": {"kind": "metal", "roughness": 0.3},

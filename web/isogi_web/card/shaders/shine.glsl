@@ -58,11 +58,10 @@ vec3 light_below(float cosine) {
   return 1.0 - strength * (shares.x * facing_shown() + shares.y);
 }
 
-// Direction of a path's next ray about the normal n, by the cosine, and its density; the normal
-// itself in a moving view, whose paths would be noise. Source of the points: Roberts, "The
-// Unreasonable Effectiveness of Quasirandom Sequences", 2018.
+// Direction of a path's next ray about the normal n, by the cosine, and its density. Source of the
+// points: Roberts, "The Unreasonable Effectiveness of Quasirandom Sequences", 2018.
 vec3 scatter(vec3 n, int k, int step, out float density) {
-  int number = resting ? (first_ray + k) * LONGEST + step : 0;
+  int number = (first_ray + k) * LONGEST + step;
   vec2 p = sample_disc(fract(0.5 + float(number) * vec2(0.7548776662, 0.5698402910)));
   float up = sqrt(max(1.0 - dot(p, p), 1e-6));
   density = up / PI;

@@ -44,8 +44,8 @@ vec3 shade(vec3 p, vec3 n, out float lacking) {
 #if SHINE == 1
 // Light that leaves a shiny surface at p with normal n against the ray d: what the lobe leaves of
 // diffuse light, and what its rays bring. A surface that they meet is diffuse. Where most of its
-// texels are not here, a path goes on from there; kernel: paths_from of
-// isogi_core/frame/rays/shine.py.
+// texels are not here, a path goes on from there at rest (`paths_from` of
+// isogi_core/frame/rays/shine.py); in a moving view it would be noise.
 vec3 shade_shiny(vec3 p, vec3 n, vec3 d, out float lacking) {
   mat3 frame = frame_about(n);
   vec3 v = -normalize(d * spacing) * frame, start = launch(p, n), light = vec3(0.0);
@@ -75,7 +75,7 @@ vec3 shade_shiny(vec3 p, vec3 n, vec3 d, out float lacking) {
       }
       vec3 there = shade(at, facing_at, lacks);
       if (!mirrored) lacking = lacks;
-      if (!mirrored || lacks < 0.5 || step == LONGEST - 1) {
+      if (!mirrored || !resting || lacks < 0.5 || step == LONGEST - 1) {
         light += share * there;
         break;
       }
