@@ -321,6 +321,7 @@ def test_chunks_of_a_large_view_are_looked_at_by_few_rays(
         ("volume/4-4", 404, "There are no layers"),
         ("volume/all", 404, "There are no layers 'all'"),
         ("colours/0-1", 404, "no colours by data"),
+        ("surroundings", 404, "mirrors no surroundings"),
         ("volume/0-4?azimuth=3", 422, "no parameter 'azimuth'"),
         ("transfer/0.0.0?yaw=3", 422, "no parameter 'yaw'"),
         ("light/0.0.0?yaw=3&light=1,0,0,0", 422, "given twice"),
@@ -466,7 +467,8 @@ def test_a_server_may_keep_its_voxels(
         )
         assert (facts["scene"] is not None) == handed
         assert found.get(f"{CARD}/colours/0-1").status_code == (404 if handed else 403)
-        for path in ("volume/0-1", "surroundings", "light/0.0.0", "transfer/0.0.0"):
+        assert found.get(f"{CARD}/surroundings").status_code == (404 if handed else 403)
+        for path in ("volume/0-1", "light/0.0.0", "transfer/0.0.0"):
             answer = found.get(f"{CARD}/{path}")
             assert answer.status_code == (200 if handed else 403)
             assert handed or "hand_out_voxels" in answer.json()["detail"]

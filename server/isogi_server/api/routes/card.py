@@ -214,6 +214,8 @@ async def read_surroundings(
     variant = await open_scene(request, service, scene, params)
 
     def work() -> Response:
+        if variant.surfaces.shine is None:
+            raise UnknownPartError("This scene's surface is diffuse: it mirrors no surroundings.")
         found = blurred_surroundings(variant.lighting.environment)
         return binary_answer(request, [Part(found.tobytes())], params.version == found.version)
 
