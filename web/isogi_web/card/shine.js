@@ -14,6 +14,7 @@ import { drawInto, makeTexture } from "./textures.js";
 /** @typedef {{kind: string, roughness: number, strength: number}} Lobe as views ask for it */
 
 const ENERGY_STEPS = 128; // of the kernel, isogi_core/kernels/transport/microfacets.py
+const NARROW = Math.PI / 256; // alpha of lobes as narrow as pixels of the sharpest surroundings
 const STRATA = 2; // rays of a wide lobe along each side of the square that maps to it
 const TAIL = 0.25; // share of facets, the steepest ones, that have no rays in a moving view
 
@@ -67,8 +68,8 @@ export class Shine {
     const { kind, roughness, strength } = lobe ?? this.#shine;
     if (this.#roughness !== roughness) this.#measure(program, roughness);
     const alpha = roughness ** 2;
-    // A lobe that the surroundings do not resolve needs one ray, and none if it counts nothing.
-    const wide = alpha > Math.PI / surroundings.rows ? STRATA : 1;
+    // A narrow lobe needs one ray, and none if it counts nothing.
+    const wide = alpha > NARROW ? STRATA : 1;
     const strata = strength > 0 ? wide : 0;
     return {
       alpha,
