@@ -495,6 +495,7 @@ def card_scene(renderer: Renderer, view: View, query: Sequence[tuple[str, str]])
         values=CardValues(offset=volume.offset, scale=volume.scale, core=volume.core),
         volume=volume_of(prepared, query),
         colours=colours_of(scene, triple(np.array(spec.albedo)), query),
+        shine=card_shine(unturned, query),
         lattice=CardLattice(
             size=prepared.shape[::-1],
             density=prepared.lattice.density,
@@ -502,7 +503,6 @@ def card_scene(renderer: Renderer, view: View, query: Sequence[tuple[str, str]])
         ),
         plan=plan_of(renderer),
         light=card_light(unturned),
-        shine=card_shine(unturned, query),
         model=card_model(unturned),
         exposure=scene.default_exposure,
         tone=TONE,

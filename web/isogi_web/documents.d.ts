@@ -171,10 +171,10 @@ export interface CardScene {
   values: CardValues;
   volume: CardVolume;
   colours: CardColours | null;
+  shine: CardShine | null;
   lattice: CardLattice;
   plan: CardPlan;
   light: CardLight;
-  shine: CardShine | null;
   model: CardModel;
   exposure: number;
   tone: CardTone;

@@ -61,7 +61,8 @@ export const keyOf = (light) => light.map((x) => x.toFixed(9)).join(" ");
  *   the scene shines
  * @throws {Error} if the card refuses a shader
  */
-export async function programsOf(gl, { grid, volume, colours, plan, light, shine }, read) {
+export async function programsOf(gl, document, read) {
+  const { grid, volume, colours, plan, light } = document;
   // Constants of a scene are compiled into its programs, so that shaders skip what the scene lacks.
   const sampler = volume.type === "float32" ? "highp sampler3D" : "highp usampler3D";
   const common = {
@@ -82,14 +83,14 @@ export async function programsOf(gl, { grid, volume, colours, plan, light, shine
     ["view", "fold", "filter", "show", "energy"].map((name) => joined(`${name}.frag.glsl`, read)),
   );
   const compiled = [
-    compile(gl, view, { ...common, SHADING: 1, SHINE: Number(Boolean(shine)) }),
+    compile(gl, view, { ...common, SHADING: 1, SHINE: Number(Boolean(document.shine)) }),
     compile(gl, fold, { ...common, ...numbers }),
     compile(gl, filter, common),
     compile(gl, show),
   ];
   const [[lit, folding, filtering, showing], measuring] = await Promise.all([
     Promise.all(compiled),
-    shine ? compile(gl, energy) : null,
+    document.shine ? compile(gl, energy) : null,
   ]);
   return {
     lit,
@@ -201,13 +202,13 @@ export class Drawing {
     run(this.gl, local ?? this.programs.lit, {
       ...this.volume.at(codeOf(document, view.isovalue)),
       ...this.colours.uniforms,
-      ...shine,
       ...raysOf(document.grid, view.camera, size[0], size[1]),
       ...lightOf(document, light),
       ...(local && modelOf(document, light, view.camera)),
       ...latticeOf(document),
       albedo: view.albedo ?? [1, 1, 1],
       ...sightOf(document, view.window ?? []),
+      ...shine,
       bricks: this.texels.bricks,
       records,
       ...filmOf(document, view.exposure),
