@@ -4,7 +4,7 @@ import { Refusal } from "../../../web/isogi_web/card/device.js";
 import { Live } from "../../../web/isogi_web/live/live.js";
 import { albedoOf, cardView, chunksQuery, documentQuery, lightQuery, viewNear } from "../../../web/isogi_web/live/view.js";
 import { troubleOf } from "../../../web/isogi_web/net/trouble.js";
-import { PAINTED, SCENE, FakeClock, knobs, settled } from "./fixtures.mjs";
+import { PAINTED, POLISHED, SCENE, FakeClock, knobs, settled } from "./fixtures.mjs";
 
 const DOCUMENT = { grounds: { dark: [0, 0, 0], light: [1, 1, 1] }, volume: { slabs: [{ href: "card/volume/0-2" }, { href: "card/volume/2-4" }] } };
 const [A, B] = [knobs({ azimuth: 10 }), knobs({ azimuth: 20 })];
@@ -376,6 +376,15 @@ test("chunks and light are asked for without what does not count", () => {
   const turn = { yaw: 20, pitch: 0, roll: 0 };
   assert.deepEqual(lightQuery(SCENE, values, turn), { environment: "studio", ...turn });
   assert.deepEqual(lightQuery(SCENE, values, null), { environment: "studio" });
+});
+
+test("the lobe of a view is that of its knobs, and asks for no other document", () => {
+  const document = { ...DOCUMENT, shine: { kind: "plastic", roughness: 0.3, strength: 1 } };
+  const asked = knobs({ shine: "metal", roughness: 0.1, strength: 0.5 });
+  assert.deepEqual(cardView(POLISHED, document, asked).shine, { kind: "metal", roughness: 0.1, strength: 0.5 });
+  assert.deepEqual(cardView(POLISHED, document, knobs({})).shine, { kind: "plastic", roughness: 0.3, strength: 1 });
+  assert.equal("shine" in cardView(POLISHED, DOCUMENT, asked), false);
+  assert.deepEqual(documentQuery(POLISHED, asked), documentQuery(POLISHED, knobs({})));
 });
 
 test("planes along no axis are a window of the card", () => {

@@ -25,7 +25,7 @@ const TAIL = 0.25; // share of facets, the steepest ones, that have no rays in a
  * @returns {Uint16Array} halves; empty if the scene does not shine
  */
 export function surroundingsIn({ shine }, slabs) {
-  return new Uint16Array(shine ? slabs[slabs.length - 1] : 0);
+  return shine ? new Uint16Array(slabs[slabs.length - 1]) : new Uint16Array(0);
 }
 
 /**

@@ -136,6 +136,20 @@ export function albedoOf(scene, values) {
 }
 
 /**
+ * Return the lobe that a view asks for.
+ * @param {import("../card/shine.js").Lobe} lobe that of the scene
+ * @param {Knobs} values
+ * @returns {import("../card/shine.js").Lobe}
+ */
+function lobeOf({ kind, roughness, strength }, values) {
+  return {
+    kind: values.shine ?? kind,
+    roughness: values.roughness ?? roughness,
+    strength: values.strength ?? strength,
+  };
+}
+
+/**
  * Return the view as a card draws it.
  * @param {Scene} scene
  * @param {CardDocument} document
@@ -155,9 +169,7 @@ export function cardView(scene, document, values, folded) {
     ...(folded && {
       albedo: vector((i) => (folded[i] > 0 ? albedoOf(scene, values)[i] / folded[i] : 1)),
     }),
-    ...(values.shine && {
-      shine: { kind: values.shine, roughness: values.roughness, strength: values.strength },
-    }),
+    ...(document.shine && { shine: lobeOf(document.shine, values) }),
     ground: document.grounds[ground(values)],
     window: planesOf(cutQuery(values).window ?? ""),
     shading: values.shading,
