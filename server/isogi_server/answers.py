@@ -66,6 +66,7 @@ from isogi_server.card_schemas import (
     CardVolume,
     Colours,
 )
+from isogi_server.card_shine import card_shine
 from isogi_server.knobs import KNOBS
 from isogi_server.schemas import (
     CameraSchema,
@@ -499,6 +500,7 @@ def card_scene(renderer: Renderer, view: View, query: Sequence[tuple[str, str]])
         values=CardValues(offset=volume.offset, scale=volume.scale, core=volume.core),
         volume=volume_of(prepared, query),
         colours=colours_of(scene, triple(np.array(spec.albedo)), query),
+        shine=card_shine(unturned, query),
         lattice=CardLattice(
             size=prepared.shape[::-1],
             density=prepared.lattice.density,

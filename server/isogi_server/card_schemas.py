@@ -75,6 +75,34 @@ class CardColours(BaseModel):
     slabs: list[CardSlab]
 
 
+class CardSurroundings(BaseModel):
+    """The light from far away as lat-long images in its own axes, ``rows`` × 2 rows at first and
+    half of that at each further level, and the address of all: halves of linear RGB, in units of
+    ``brightness``.
+    """
+
+    rows: int
+    levels: int
+    brightness: float
+    bytes: int
+    href: str
+
+
+class CardShine(BaseModel):
+    """The shine of a surface: ``kind``, ``roughness`` and ``strength`` of its lobe, as the view
+    asks for them; others need no other document.
+
+    Head on, metal mirrors its ``albedo``, and plastic the share ``plastic``.
+    """
+
+    kind: str
+    roughness: float
+    strength: float
+    plastic: float
+    albedo: Triple
+    surroundings: CardSurroundings
+
+
 class CardLattice(BaseModel):
     """The lattice: texels along x, y, z, texels per voxel, and texels along each side of a
     chunk.
@@ -222,6 +250,7 @@ class CardScene(BaseModel):
     values: CardValues
     volume: CardVolume
     colours: CardColours | None
+    shine: CardShine | None
     lattice: CardLattice
     plan: CardPlan
     light: CardLight

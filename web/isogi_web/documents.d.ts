@@ -171,6 +171,7 @@ export interface CardScene {
   values: CardValues;
   volume: CardVolume;
   colours: CardColours | null;
+  shine: CardShine | null;
   lattice: CardLattice;
   plan: CardPlan;
   light: CardLight;
@@ -197,6 +198,21 @@ export interface Card {
   reason: string;
   scene: CardScene | null;
   version: string;
+}
+
+/**
+ * The shine of a surface: `kind`, `roughness` and `strength` of its lobe, as the view
+ * asks for them; others need no other document.
+ *
+ * Head on, metal mirrors its `albedo`, and plastic the share `plastic`.
+ */
+export interface CardShine {
+  kind: string;
+  roughness: number;
+  strength: number;
+  plastic: number;
+  albedo: [number, number, number];
+  surroundings: CardSurroundings;
 }
 
 /**
@@ -230,6 +246,19 @@ export interface CardSurface {
   albedo: [number, number, number];
   outer: CardSide;
   inner: CardSide;
+}
+
+/**
+ * The light from far away as lat-long images in its own axes, `rows` × 2 rows at first and
+ * half of that at each further level, and the address of all: halves of linear RGB, in units of
+ * `brightness`.
+ */
+export interface CardSurroundings {
+  rows: number;
+  levels: number;
+  brightness: number;
+  bytes: number;
+  href: string;
 }
 
 /**

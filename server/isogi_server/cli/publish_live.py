@@ -17,6 +17,7 @@ from isogi_core.files.spelling import shortest
 from isogi_core.frame.card.blocks import raw_scale
 from isogi_core.frame.card.coding import Coding, coding_for
 from isogi_core.frame.card.obstacles import Obstacle
+from isogi_core.frame.features import SHINE
 from isogi_core.frame.rays.control_pixels import TotalError
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import View
@@ -61,7 +62,10 @@ SIDES_NOT_PUBLISHED = Obstacle(
     "several surfaces",
     "A folder holds the light of one surface's outer side alone.",
 )
-"""An obstacle of published pages alone."""
+SHINE_NOT_PUBLISHED = Obstacle(
+    SHINE.name, "It shines, and no error of shine is measured for pages."
+)
+"""Obstacles of published pages alone."""
 
 TAKEN = (
     *("isovalue", "azimuth", "elevation", "distance", "fov", "projection", "target"),
@@ -194,6 +198,8 @@ def refuse_obstacles(renderer: Renderer, view: View) -> None:
     found = card_obstacles(renderer.prepared, view, True)
     if scene.surfaces.several:
         found.append(SIDES_NOT_PUBLISHED)
+    if SHINE.is_shown(scene, view):
+        found.append(SHINE_NOT_PUBLISHED)
     if found:
         reasons = " ".join(each.why for each in found)
         raise ViewError(

@@ -18,6 +18,7 @@ from playwright.sync_api import Browser, Page
 
 from isogi_core.bake.noise import Goal
 from isogi_core.frame.card.blocks import fold_chunks, transfer_chunks
+from isogi_core.frame.card.blurred_surroundings import blurred_surroundings
 from isogi_core.frame.card.colour_codes import ColourCodes
 from isogi_core.frame.card.sides import known_light_of_sides, look_at_sides
 from isogi_core.frame.lighting import RotatedLight
@@ -181,9 +182,11 @@ class CardScene:
         ]
         if colours := ColourCodes.of(renderer.prepared.scene):
             slabs += [colours.layers(a, b).tobytes() for a, b in colours.slabs]
+        around = blurred_surroundings(renderer.prepared.scene.lighting.environment)
         scene = card_scene(renderer, view, ()).model_dump(mode="json")
         if not lobes:
             scene["light"]["lobes"] = []
+        slabs += [around.tobytes()] * bool(scene["shine"])
         document = lab.put("document", scene)
         names = [lab.put(f"slab{i}", slab) for i, slab in enumerate(slabs)]
         given = {"files": {"document": document, "slabs": names}, "size": size}

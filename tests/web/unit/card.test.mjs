@@ -2,12 +2,13 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { halfOf, ones, readBlocks } from "../../../web/isogi_web/card/blocks.js";
 import { EMPTY, brickShape, findRanges, markCells } from "../../../web/isogi_web/card/cells.js";
-import { codeOf, facesOf } from "../../../web/isogi_web/card/document.js";
+import { codeOf, facesOf, slabsOf } from "../../../web/isogi_web/card/document.js";
 import { bandRotations, turned } from "../../../web/isogi_web/card/harmonics.js";
 import { quadricOf, rotationMatrix, turnLight } from "../../../web/isogi_web/card/light.js";
 import { SAMPLES, discOf, jitterOf } from "../../../web/isogi_web/card/picture.js";
 import { joined } from "../../../web/isogi_web/card/programs.js";
 import { pinhole, raysOf, windowOf } from "../../../web/isogi_web/card/rays.js";
+import { surroundingsIn } from "../../../web/isogi_web/card/shine.js";
 import { codesOf, joinMaps, uniformsOf } from "../../../web/isogi_web/card/surfaces.js";
 import { fromAngles, turnVector } from "../../../web/isogi_web/view/rotation.js";
 import { close } from "./fixtures.mjs";
@@ -31,6 +32,14 @@ test("an isovalue is compared as kernels compare it", () => {
   assert.equal(codeOf(document, 80), 70);
   assert.equal(codeOf({ ...document, values: { offset: 256, scale: -256 } }, 80), 176);
   assert.equal(codeOf(document, 10.1), Math.fround(256 * Math.fround((10.1 - 10) / 256)));
+});
+
+test("surroundings come after voxels and colours", () => {
+  const [volume, colours] = ["a", "b"].map((href) => ({ slabs: [{ href }] })), shine = { surroundings: { href: "c" } };
+  assert.deepEqual(slabsOf({ volume, colours, shine }), ["a", "b", "c"]);
+  assert.deepEqual(slabsOf({ volume, colours: null, shine: null }), ["a"]);
+  assert.deepEqual([...surroundingsIn({ shine }, [new ArrayBuffer(2), new Uint16Array([7, 8]).buffer])], [7, 8]);
+  assert.equal(surroundingsIn({ shine: null }, [new ArrayBuffer(2)]).length, 0);
 });
 
 /** Cells of a volume with corners on both sides, or with some without value, cell by cell. */

@@ -51,6 +51,14 @@ test("what differs is counted, in any channel", () => {
   assert.ok(part > 0.1 && part < 0.3, String(part));
 });
 
+test("noise does not count where neighbours are averaged, and what is wrong does", () => {
+  const noisy = (level, x, y) => level * ((x + y) % 2 ? 1.3 : 0.7);
+  const averaged = (card) => shareThatDiffers(flipped(card), disc(), SIZE, 0.02, 2);
+  assert.ok(share(disc(noisy)) > 0.9);
+  assert.ok(averaged(disc(noisy)) < 0.05, "but for the rim");
+  assert.ok(averaged(disc((level) => 1.4 * level)) > 0.9);
+});
+
 test("edges and the ground are left out", () => {
   const striped = disc((level, x) => (x % 8 < 2 ? 20 : level));
   assert.ok(share(disc((level, x) => ([7, 0, 1, 2].includes(x % 8) ? 250 : level)), striped) <= 0, "all that differs is at an edge");

@@ -4,7 +4,7 @@ import { Refusal } from "../../../web/isogi_web/card/device.js";
 import { Live } from "../../../web/isogi_web/live/live.js";
 import { albedoOf, cardView, chunksQuery, documentQuery, lightQuery, turnOf, viewNear } from "../../../web/isogi_web/live/view.js";
 import { troubleOf } from "../../../web/isogi_web/net/trouble.js";
-import { PAINTED, SCENE, FakeClock, knobs, settled } from "./fixtures.mjs";
+import { PAINTED, POLISHED, SCENE, FakeClock, knobs, settled } from "./fixtures.mjs";
 
 const DOCUMENT = { grounds: { dark: [0, 0, 0], light: [1, 1, 1] }, volume: { slabs: [{ href: "card/volume/0-2" }, { href: "card/volume/2-4" }] } };
 const [A, B] = [knobs({ azimuth: 10 }), knobs({ azimuth: 20 })];
@@ -394,6 +394,15 @@ test("light that is baked for each turn is another document at each, and lies st
   assert.deepEqual([viewNear(values, scene).yaw, viewNear(values).yaw], [22, 0]);
 });
 
+test("the lobe of a view is that of its knobs, and asks for no other document", () => {
+  const document = { ...DOCUMENT, shine: { kind: "plastic", roughness: 0.3, strength: 1 } };
+  const asked = knobs({ shine: "metal", roughness: 0.1, strength: 0.5 });
+  assert.deepEqual(cardView(POLISHED, document, asked).shine, { kind: "metal", roughness: 0.1, strength: 0.5 });
+  assert.deepEqual(cardView(POLISHED, document, knobs({})).shine, { kind: "plastic", roughness: 0.3, strength: 1 });
+  assert.equal("shine" in cardView(POLISHED, DOCUMENT, asked), false);
+  assert.deepEqual(documentQuery(POLISHED, asked), documentQuery(POLISHED, knobs({})));
+});
+
 test("planes along no axis are a window of the card", () => {
   const { window } = cardView(SCENE, DOCUMENT, knobs({ planes: "x>4;0,3,4<10" }));
   assert.deepEqual(window, [{ normal: [-0, -0.6, -0.8], limit: -2 }]);
@@ -422,4 +431,22 @@ test("the error of the card's pictures is predicted once all their light is here
   assert.ok(Math.abs(live.predicted - 0.05) < 1e-12);
   live.rest(A, LIT, [{ ...chunks[0], final: false }, chunks[1]]);
   assert.equal(live.predicted, null, "one converges");
+});
+
+test("a shiny view has no predicted error, and is compared with a final picture", async () => {
+  const shine = { surroundings: { href: "card/surroundings" } };
+  const document = { drawable: true, reason: "", scene: { ...DOCUMENT, shine, target: 0.03, expected: 0.04 } };
+  await ready({ document });
+  assert.deepEqual(asked.filter(([kind]) => kind === "bytes").at(-1), ["bytes", "card/surroundings"]);
+  card.drawing = { texels: { chunks: new Map([["0.0.1", { version: "1a" }]]) } };
+  const chunks = [{ at: "0.0.1", version: "1a", final: true }];
+  live.rest(A, { ...LIT, provisional: true }, chunks);
+  await clock.pass(2000);
+  assert.deepEqual([live.shines, live.predicted, card.drawn.length], [true, null, 0], "not with a picture of single rays");
+  live.rest(A, { ...LIT, provisional: false }, chunks);
+  await clock.pass(2000);
+  assert.equal(card.drawn.length, 1);
+  assert.equal(live.shines, true);
+  live.show(knobs({ shading: "phong" }));
+  assert.deepEqual([live.shines, live.predicted], [false, 0], "local models do not shine");
 });

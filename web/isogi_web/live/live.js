@@ -6,7 +6,13 @@
 import { Refusal } from "../card/device.js";
 import { isDrawn, isLocal, slabsOf } from "../card/document.js";
 import { Trouble } from "../net/trouble.js";
-import { MOST_DIFFER, pixelsOf, shareThatDiffers } from "./check.js";
+import {
+  AROUND_SHINY,
+  MOST_DIFFER,
+  MOST_DIFFER_SHINY,
+  pixelsOf,
+  shareThatDiffers,
+} from "./check.js";
 import { Feed } from "./feed.js";
 import {
   albedoOf,
@@ -94,6 +100,7 @@ export class Live {
   /** Shadings whose pictures were found right: each has a program. @type {Set<string>} */
   #checked = new Set();
   #unlit = false; // true while the scene was shown by local models alone: no light was asked for
+  #final = false; // true if the server's picture at rest is final
   #busy = Infinity; // time since which the card refuses new pictures
   #slow = 0; // slow pictures in a row
 
@@ -142,12 +149,27 @@ export class Live {
   }
 
   /**
-   * Predict the relative error of the card's pictures: from the target of the light and the error
-   * that the plan expects besides, once final light of all chunks of the view is here. Local models
-   * have none.
+   * Predict the relative error of the card's pictures: that of their light. Local models have none,
+   * and of shine, which few rays show, it is not known.
    * @returns {number|null} null if it cannot be predicted
    */
   get predicted() {
+    return this.shines ? null : this.#lightError;
+  }
+
+  /** Return true if the card's pictures show shine, by few rays. @returns {boolean} */
+  get shines() {
+    if (!this.#values || isLocal(this.#values.shading)) return false;
+    return Boolean(this.#loaded?.facts.shine) && this.#values.strength !== 0;
+  }
+
+  /**
+   * Predict the relative error of the light of the card's pictures: from the target of the light
+   * and the error that the plan expects besides, once final light of all chunks of the view is
+   * here.
+   * @returns {number|null} null if it cannot be predicted
+   */
+  get #lightError() {
     if (!this.#card || !this.#loaded || !this.#values || !this.#has(this.#values)) return null;
     if (isLocal(this.#values.shading)) return 0;
     if (!this.#chunks.length || !this.#chunks.every(({ final }) => final)) return null;
@@ -195,7 +217,8 @@ export class Live {
     if (!isLocal(values.shading)) this.#unlit = false;
     const card = this.draws(values) && this.#has(values);
     this.#values = values;
-    const isLit = facts?.provisional === false || facts?.coverage.provisional === 0;
+    this.#final = facts?.provisional === false;
+    const isLit = this.#final || facts?.coverage.provisional === 0;
     if (values.overlay !== "none" || isLit) this.#fade();
     if (card && chunks) this.#bring(chunks);
     else if (card) this.#list(true);
@@ -356,12 +379,15 @@ export class Live {
 
   /**
    * Check the card at the first rest, below the server's picture: draw the view as well as the card
-   * can once it has all of its light, and compare both.
+   * can once it has all of its light, and compare both. Shine is compared with the final picture, as
+   * the server shows it by single rays before.
    * @param {Card} card
    */
   #prove(card) {
     const check = this.#check;
-    if (!check || !this.#loaded || this.#moving || this.predicted === null) return;
+    const error = this.#lightError;
+    if (!check || !this.#loaded || this.#moving || error === null) return;
+    if (this.shines && !this.#final) return;
     // Begin only after the card's picture has faded out, as the canvas is about to change.
     const isSeen = performance.now() - check.since < FADED_MS;
     if (!isSeen && !check.begun) check.begun = this.#drawn(card, this.#loaded, check.values);
@@ -370,11 +396,12 @@ export class Live {
       return;
     }
     const server = pixelsOf(this.#hooks.picture?.() ?? null, this.#canvas);
-    const share = server && shareThatDiffers(card.read(), server, this.#canvas, this.predicted);
+    const around = this.shines ? AROUND_SHINY : 0;
+    const share = server && shareThatDiffers(card.read(), server, this.#canvas, error, around);
     if (share === null) return; // try again with another picture of the server
     this.#check = null;
     this.#checked.add(check.values.shading);
-    if (share <= MOST_DIFFER) return;
+    if (share <= (this.shines ? MOST_DIFFER_SHINY : MOST_DIFFER)) return;
     const reason = `The graphics card draws ${Math.round(100 * share)} % of the pixels differently from the server: the server draws.`;
     this.#leave(reason);
     this.#hooks.refused(reason);

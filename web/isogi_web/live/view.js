@@ -20,11 +20,13 @@ import { fromAngles, vector } from "../view/rotation.js";
 /** Parameters that the transfer of texels depends on. */
 const VARIANT = ["environment", "cut", "time", "smooth", "surfaces", "hide", "material"];
 
+/** Parameters of a lobe, which a card draws by any document of a scene that shines. */
+const OF_LOBE = ["shine", "roughness", "strength"];
+
 /** Parameters that a scene's document depends on. */
 const OF_DOCUMENT = [
   ...VARIANT,
-  "shine",
-  ...NUMBERS.filter((name) => UNITS[name] === "share"),
+  ...NUMBERS.filter((name) => UNITS[name] === "share" && !OF_LOBE.includes(name)),
 ];
 /** Angles by which the light is turned. */
 const ANGLES = ["yaw", "pitch", "roll"];
@@ -156,6 +158,20 @@ export function albedoOf(scene, values) {
 }
 
 /**
+ * Return the lobe that a view asks for.
+ * @param {import("../card/shine.js").Lobe} lobe that of the scene
+ * @param {Knobs} values
+ * @returns {import("../card/shine.js").Lobe}
+ */
+function lobeOf({ kind, roughness, strength }, values) {
+  return {
+    kind: values.shine ?? kind,
+    roughness: values.roughness ?? roughness,
+    strength: values.strength ?? strength,
+  };
+}
+
+/**
  * Return the view as a card draws it.
  * @param {Scene} scene
  * @param {CardDocument} document
@@ -175,6 +191,7 @@ export function cardView(scene, document, values, folded) {
     ...(folded && {
       albedo: vector((i) => (folded[i] > 0 ? albedoOf(scene, values)[i] / folded[i] : 1)),
     }),
+    ...(document.shine && { shine: lobeOf(document.shine, values) }),
     ground: document.grounds[ground(values)],
     window: planesOf(cutQuery(values).window ?? ""),
     shading: values.shading,

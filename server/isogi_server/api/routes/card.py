@@ -15,6 +15,7 @@ from fastapi import APIRouter, Request, Response
 
 from isogi_core.bake.noise import Goal
 from isogi_core.frame.card.blocks import known_transfer
+from isogi_core.frame.card.blurred_surroundings import blurred_surroundings
 from isogi_core.frame.card.colour_codes import ColourCodes
 from isogi_core.frame.card.looks import Look, SeenChunk
 from isogi_core.frame.card.sides import chunks_of_sides, known_light_of_sides, look_at_sides
@@ -200,6 +201,29 @@ async def read_colours(
 
 
 @router.get(
+    "/surroundings",
+    response_class=Response,
+    openapi_extra=documented(VoxelParams),
+    responses=PARTS,
+)
+async def read_surroundings(
+    request: Request, scene: SceneDep, params: VoxelParamsDep, service: ServiceDep
+) -> Response:
+    """Return the light from far away as lat-long images, each more blurred than the one before, for
+    surfaces that mirror it. The document of the card says how large they are.
+    """
+    variant = await open_scene(request, service, scene, params)
+
+    def work() -> Response:
+        if variant.surfaces.shine is None:
+            raise UnknownPartError("This scene's surface is diffuse: it mirrors no surroundings.")
+        found = blurred_surroundings(variant.lighting.environment)
+        return binary_answer(request, [Part(found.tobytes())], params.version == found.version)
+
+    return await service.compute(request, work)
+
+
+@router.get(
     "/chunks", response_model=CardChunks, openapi_extra=documented(ViewParams), responses=PROBLEMS
 )
 async def read_chunks(
@@ -208,8 +232,8 @@ async def read_chunks(
     """Return the chunks of texels that a view reads, most visible first, and request the light that
     it lacks.
 
-    No picture is sent. The size of the picture sets the number of rays that find the chunks, up to a
-    million.
+    No picture is sent. The size of the picture sets the number of rays that find the chunks, up to
+    a million.
     """
     if "wait_ms" in params.model_fields_set:
         raise ParameterError(
