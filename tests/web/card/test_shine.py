@@ -62,7 +62,6 @@ def run(lab: Lab, body: str, inputs: np.ndarray) -> np.ndarray:
       const { shine, document, programs } = card.drawing;
       const light = turnLight(document, given.turn);
       const uniforms = { ...shine.at(programs.energy, undefined, light, 0), albedo: [1, 1, 1] };
-      uniforms.tail = 0;
       const integers = document.volume.type !== "float32";
       const defines = { VOXELS: `highp ${integers ? "u" : ""}sampler3D`, SMOOTH: 1, LOBES: 1 };
       defines.RATIOS = 1;
@@ -121,9 +120,7 @@ def test_surroundings_are_looked_up_where_they_are(lab: Lab, shown: Workbench, l
     rows = around.rows >> level
     towards = pixel_directions(rows, 2 * rows) @ rotation_matrix(TURN).T
     width = np.pi / rows
-    # Density of one of four rays whose solid angle has that width.
-    density = 1.0 / (4.0 * np.pi * width**2 * 4.0)
-    given = np.concatenate([towards, np.full((*towards.shape[:2], 1), density)], axis=2)
+    given = np.concatenate([towards, np.full((*towards.shape[:2], 1), width)], axis=2)
     body = "return vec4(far_light(given(0).xyz, given(0).w), 0.0);"
     picked = RNG.choice(rows * 2 * rows, 500)
     found = run(lab, body, given.reshape(-1, 1, 4)[picked].astype(np.float32))[:, :3]

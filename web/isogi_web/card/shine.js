@@ -16,7 +16,9 @@ import { drawInto, makeTexture } from "./textures.js";
 const ENERGY_STEPS = 128; // of the kernel, isogi_core/kernels/transport/microfacets.py
 const NARROW = Math.PI / 256; // alpha of lobes as narrow as pixels of the sharpest surroundings
 const STRATA = 2; // rays of a wide lobe along each side of the square that maps to it
-const TAIL = 0.25; // share of facets, the steepest ones, that have no rays in a moving view
+const TAIL = 0.4; // share of facets, the steepest ones, that have no rays of their own
+const WIDTH_OF_TAIL = 3; // width, in alpha, by which most of these mirror: STEEP in shine.glsl
+const OVERLAP = 2; // solid angle of a ray over its share of the lobe, as rays are few and fixed
 
 /**
  * Return the bytes of the surroundings among the slabs of a scene.
@@ -71,6 +73,8 @@ export class Shine {
     // A narrow lobe needs one ray, and none if it counts nothing.
     const wide = alpha > NARROW ? STRATA : 1;
     const strata = strength > 0 ? wide : 0;
+    // Steep facets of a rough lobe mirror much below the horizon: leave these to rays.
+    const coarsest = Math.PI / (surroundings.rows >> (surroundings.levels - 1));
     return {
       alpha,
       strength,
@@ -84,8 +88,8 @@ export class Shine {
       reflecting: albedo,
       spot: n === 0 ? [0.5, 0.5] : [halton(n, 2), halton(n, 3)],
       first_ray: n * strata ** 2,
-      together: strata ** 2 * (n === 0 ? 1 : SAMPLES),
-      tail: n === 0 ? TAIL : 0,
+      together: (strata ** 2 * (n === 0 ? 1 : SAMPLES)) / OVERLAP,
+      tail: TAIL * Math.max(1 - ((WIDTH_OF_TAIL * alpha) / coarsest) ** 2, 0),
     };
   }
 

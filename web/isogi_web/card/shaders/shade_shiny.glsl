@@ -25,7 +25,7 @@ vec3 shade_shiny(vec3 p, vec3 n, vec3 d, out float lacking) {
     for (int step = 0; step < LONGEST; step++) {
       float t = mirrored ? cast_ray(at, w / spacing, OUTSIDE) : 0.0;
       if (t < 0.0) {
-        light += share * far_light(w, density);
+        light += share * (step == 0 ? mirrored_light(w, density) : far_light(w, width_of(density)));
         break;
       }
       if (mirrored) {

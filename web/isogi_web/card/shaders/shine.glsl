@@ -16,16 +16,17 @@ uniform vec3 turned[3];       // rows of the light's rotation in the box
 uniform int strata;           // Rays along each side of the square that maps to the lobe.
 uniform vec2 spot;            // Place of this sample's rays in their strata, 0 to 1.
 uniform int first_ray;        // Number of the first ray of this sample.
-uniform float together;       // Rays that the picture is a mean of.
+uniform float together;       // Rays that share the sphere between them.
 uniform vec3 reflecting;      // albedo of the surface
 // Share of the facets that are steepest, for which no ray stands: they mirror the surroundings
 // about all rays.
 uniform float tail;
 
 const int LONGEST = 3; // Rays of a path at most, the one of the lobe included.
-// Half of the facets that are the steepest quarter are steeper than 2.65 alpha; a normal
-// distribution of this width, in alpha, has its median at twice that angle.
-const float TAIL_WIDTH = 4.5;
+// Widths in alpha of two normal distributions, and the share of the second, by which steep facets
+// mirror: a fit to GGX on the flat, for the steepest two fifths of the facets.
+const vec2 STEEP = vec2(3.0, 8.0);
+const float STEEPEST = 0.15;
 
 // Tangents of Duff and others 2017 and the unit vector n, as columns.
 mat3 frame_about(vec3 n) {
@@ -68,18 +69,21 @@ vec3 scatter(vec3 n, int k, int step, out float density) {
   return frame_about(n) * vec3(p, up);
 }
 
-// Radiance of the surroundings, blurred by this width, at a place of their images.
-vec3 blurred(vec2 at, float width) {
+// Radiance of the surroundings along w in the box, blurred by this width.
+vec3 far_light(vec3 w, float width) {
+  vec3 q = w.x * turned[0] + w.y * turned[1] + w.z * turned[2];
+  vec2 at = vec2(0.5 * atan(q.y, q.x), atan(length(q.xy), q.z)) / PI;
   float level = log2(max(width * float(textureSize(surroundings, 0).y) / PI, 1.0));
   return brightness * textureLod(surroundings, at, level).rgb;
 }
 
-// Radiance of the surroundings along w in the box, as the mean over the solid angle of a ray whose
-// direction has this density.
-vec3 far_light(vec3 w, float density) {
-  vec3 q = w.x * turned[0] + w.y * turned[1] + w.z * turned[2];
-  vec2 at = vec2(0.5 * atan(q.y, q.x), atan(length(q.xy), q.z)) / PI;
-  // A normal distribution of this width has the solid angle of the ray.
-  vec3 near = blurred(at, sqrt((1.0 - tail) / (4.0 * PI * together * density)));
-  return tail > 0.0 ? mix(near, blurred(at, TAIL_WIDTH * alpha), tail) : near;
+// The width of a normal distribution with the solid angle of a ray whose direction has this
+// density.
+float width_of(float density) { return sqrt(1.0 / (4.0 * PI * together * density)); }
+
+// Radiance of the surroundings for a ray of the lobe along w: the mean over its solid angle, and
+// that of steep facets.
+vec3 mirrored_light(vec3 w, float density) {
+  vec3 steep = mix(far_light(w, STEEP.x * alpha), far_light(w, STEEP.y * alpha), STEEPEST);
+  return mix(far_light(w, sqrt(1.0 - tail) * width_of(density)), steep, tail);
 }
