@@ -80,7 +80,7 @@ export class Shine {
       strength,
       strata,
       metal: Number(kind === "metal"),
-      facing: kind === "metal" ? albedo : [plastic, plastic, plastic],
+      head_on: kind === "metal" ? albedo : [plastic, plastic, plastic],
       energy: this.textures[0],
       surroundings: this.textures[1],
       brightness: surroundings.brightness,

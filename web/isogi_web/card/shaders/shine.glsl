@@ -4,7 +4,7 @@
 // Each ray stands for a solid angle, over which the surroundings are blurred. Source: Krivanek and
 // Colbert 2008.
 #include "microfacets.glsl"
-uniform vec3 facing;          // reflectance head on
+uniform vec3 head_on;         // reflectance head on
 uniform float strength;       // factor of the lobe
 uniform bool metal;           // True if the lobe takes the place of diffuse light.
 uniform highp sampler2D energy; // Two shares of even light that the lobe mirrors, by the cosine.
@@ -41,10 +41,10 @@ vec2 place_of(int k) {
 }
 
 // Reflectance head on, with the albedo that is shown.
-vec3 facing_shown() { return metal ? facing * albedo : facing; }
+vec3 head_on_shown() { return metal ? head_on * albedo : head_on; }
 
 // Schlick's Fresnel reflectance of facets that mirror v to l.
-vec3 schlick_fresnel(vec3 v, vec3 l) { return mix(facing_shown(), vec3(1.0), grazing(v, l)); }
+vec3 schlick_fresnel(vec3 v, vec3 l) { return mix(head_on_shown(), vec3(1.0), grazing(v, l)); }
 
 // Light of a sampled direction l counts as much: the lobe over its density.
 vec3 weight_of(vec3 v, vec3 l) { return strength * seen_and_lit(v.z, l.z) / seen_from(v.z) * schlick_fresnel(v, l); }
@@ -56,7 +56,7 @@ vec3 light_below(float cosine) {
   float place = float(steps) * sqrt(clamp(cosine, 0.0, 1.0));
   int k = min(int(place), steps - 1);
   vec2 shares = mix(texelFetch(energy, ivec2(k, 0), 0).rg, texelFetch(energy, ivec2(k + 1, 0), 0).rg, place - float(k));
-  return 1.0 - strength * (shares.x * facing_shown() + shares.y);
+  return 1.0 - strength * (shares.x * head_on_shown() + shares.y);
 }
 
 // Direction of a path's next ray about the normal n, by the cosine, and its density. Source of the
