@@ -7,7 +7,7 @@ import { FakeClock, SCENE, knobs, settled } from "./fixtures.mjs";
 const SIZE = { width: 80, height: 60 };
 const LIT = { provisional: false, coverage: { provisional: 0 } };
 const CHUNKS = [{ at: "0.0.1", version: "1a", final: true }];
-const DOCUMENT = { grounds: { dark: [0, 0, 0], light: [1, 1, 1] }, volume: { slabs: [] }, target: 0.016, expected: 0.012 };
+const DOCUMENT = { plan: { turns: true }, surfaces: null, grounds: { dark: [0, 0, 0], light: [1, 1, 1] }, volume: { slabs: [] }, target: 0.016, expected: 0.012 };
 
 /** A disc with a gentle slope on a plain ground, rows from the top, and `change(level, x, y)` of it. */
 function disc(change = (level) => level) {

@@ -4,9 +4,10 @@ import { Refusal } from "../../../web/isogi_web/card/device.js";
 import { Live } from "../../../web/isogi_web/live/live.js";
 import { albedoOf, cardView, chunksQuery, documentQuery, lightQuery, turnOf, viewNear } from "../../../web/isogi_web/live/view.js";
 import { troubleOf } from "../../../web/isogi_web/net/trouble.js";
+import { fromAngles } from "../../../web/isogi_web/view/rotation.js";
 import { PAINTED, POLISHED, SCENE, FakeClock, knobs, settled } from "./fixtures.mjs";
 
-const DOCUMENT = { grounds: { dark: [0, 0, 0], light: [1, 1, 1] }, volume: { slabs: [{ href: "card/volume/0-2" }, { href: "card/volume/2-4" }] } };
+const DOCUMENT = { plan: { turns: true }, surfaces: null, grounds: { dark: [0, 0, 0], light: [1, 1, 1] }, volume: { slabs: [{ href: "card/volume/0-2" }, { href: "card/volume/2-4" }] } };
 const [A, B] = [knobs({ azimuth: 10 }), knobs({ azimuth: 20 })];
 const LIT = { coverage: { provisional: 0 } };
 
@@ -374,24 +375,34 @@ test("chunks and light are asked for without what does not count", () => {
   assert.deepEqual([chunks.width, chunks.height, chunks.yaw, chunks.environment], [160, 80, 20, "studio"]);
   for (const name of ["f", "overlay", "background", "exposure"]) assert.equal(name in chunks, false, name);
   const turn = { yaw: 20, pitch: 0, roll: 0 };
-  assert.deepEqual(lightQuery(SCENE, values, turn), { environment: "studio", ...turn });
-  assert.deepEqual(lightQuery(SCENE, values, null), { environment: "studio" });
+  assert.deepEqual(lightQuery(SCENE, DOCUMENT, values, turn), { environment: "studio", ...turn });
+  assert.deepEqual(lightQuery(SCENE, DOCUMENT, values, null), { environment: "studio" });
 });
 
 test("light of pinned surfaces is asked for at the isovalue that is shown", () => {
   const turn = { yaw: 0, pitch: 0, roll: 0 };
-  const scene = { ...SCENE, surfaces: [{ isovalue: 50 }] };
-  assert.deepEqual(lightQuery(scene, knobs({ isovalue: 80 }), turn), { isovalue: 80, ...turn });
+  const document = { ...DOCUMENT, surfaces: [{ isovalue: null }, { isovalue: 50 }] };
+  assert.deepEqual(lightQuery(SCENE, document, knobs({ isovalue: 80 }), turn), { isovalue: 80, ...turn });
 });
 
 test("light that is baked for each turn is another document at each, and lies still", () => {
   const scene = { ...SCENE, turn_step: 5 };
   const values = knobs({ yaw: 22, pitch: 0, roll: 0 });
+  const document = { ...DOCUMENT, plan: { turns: false } };
   const turn = { yaw: 20, pitch: 0, roll: 0 };
   assert.deepEqual(documentQuery(scene, values), { ...turn, shading: "gi" });
-  assert.deepEqual(lightQuery(scene, values, turnOf(scene, values)), turn);
-  assert.deepEqual(cardView(scene, DOCUMENT, values).light, [1, 0, 0, 0]);
+  assert.deepEqual(lightQuery(scene, document, values, turnOf(scene, document, values)), turn);
+  assert.deepEqual(cardView(scene, document, values).light, [1, 0, 0, 0]);
   assert.deepEqual([viewNear(values, scene).yaw, viewNear(values).yaw], [22, 0]);
+});
+
+test("hidden surfaces leave light that the card turns, in the steps of the server's pictures", () => {
+  const scene = { ...SCENE, turn_step: 5, surfaces: [{ isovalue: 50 }] };
+  const values = knobs({ surfaces: "off", yaw: 22, pitch: 0, roll: 0 });
+  const turn = turnOf(scene, DOCUMENT, values);
+  assert.deepEqual(turn, { yaw: 20, pitch: 0, roll: 0 });
+  assert.deepEqual(cardView(scene, DOCUMENT, values).light, fromAngles(turn));
+  assert.deepEqual(lightQuery(scene, DOCUMENT, values, turn), { surfaces: "off", ...turn });
 });
 
 test("the lobe of a view is that of its knobs, and asks for no other document", () => {

@@ -272,14 +272,14 @@ export class Live {
         this.#source.blocks(
           what,
           chunks,
-          lightQuery(this.#scene, { ...values, isovalue }, what === "light" ? turn : null),
+          lightQuery(this.#scene, facts, { ...values, isovalue }, what === "light" ? turn : null),
         );
       this.#loaded = {
         key,
         look: this.#lookOf(values),
         albedo: albedoOf(this.#scene, values),
         facts,
-        feed: new Feed(card, ask, turnOf(this.#scene, values), () => this.#refresh()),
+        feed: new Feed(card, ask, turnOf(this.#scene, facts, values), () => this.#refresh()),
       };
       this.#list(true);
     } catch (error) {
@@ -470,8 +470,9 @@ export class Live {
   #bring(chunks) {
     if (!this.#loaded || !this.#values || isLocal(this.#values.shading)) return;
     this.#chunks = chunks;
-    const values = { ...this.#values, ...turnOf(this.#scene, this.#values) };
-    this.#loaded.feed.bring(chunks, values, this.#moving).catch((error) => {
+    const { facts, feed } = this.#loaded;
+    const values = { ...this.#values, ...turnOf(this.#scene, facts, this.#values) };
+    feed.bring(chunks, values, this.#moving).catch((error) => {
       // After trouble with the server, the next list requests the light again.
       if (!(error instanceof Trouble)) this.#leave(error.message);
     });

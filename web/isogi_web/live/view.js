@@ -8,7 +8,7 @@ import { albedoQuery } from "../view/albedo.js";
 import { rayThrough } from "../view/camera.js";
 import { NUMBERS, UNITS } from "../view/model.js";
 import { planesOf } from "../view/planes.js";
-import { fromAngles, vector } from "../view/rotation.js";
+import { fromAngles, inSteps, vector } from "../view/rotation.js";
 
 /** @typedef {import("../card/document.js").CardDocument} CardDocument */
 /** @typedef {import("../net/schemas.js").FrameQuery} FrameQuery */
@@ -60,7 +60,7 @@ function only(query, names) {
 export function documentQuery(scene, values) {
   const query = frameQuery(scene, values, { width: 1, height: 1 });
   // Light that is baked for each turn is another light at each.
-  const names = isTurnBaked(scene) ? [...OF_DOCUMENT, ...ANGLES] : OF_DOCUMENT;
+  const names = scene.turn_step ? [...OF_DOCUMENT, ...ANGLES] : OF_DOCUMENT;
   return { ...only(query, names), shading: "gi" };
 }
 
@@ -106,33 +106,33 @@ export function viewNear(values, { turn_step = null } = {}) {
  * Return the parameters of the request for records of texels, or for their transfer. Light of pinned
  * surfaces depends on the isovalue of the one that slides.
  * @param {Scene} scene
+ * @param {Pick<CardDocument, "plan"|"surfaces">} document
  * @param {Knobs} values
  * @param {Angles|null} turn rotation of the light; null for transfer, which depends on none
  * @returns {FrameQuery}
  */
-export function lightQuery(scene, values, turn) {
+export function lightQuery(scene, { plan, surfaces }, values, turn) {
   const query = frameQuery(scene, values, { width: 1, height: 1 });
   if (!turn) return only(query, VARIANT);
-  const names = [...VARIANT, "albedo", ...(scene.surfaces.length ? ["isovalue"] : [])];
-  if (isTurnBaked(scene)) return only(query, [...names, ...ANGLES]);
+  const names = [...VARIANT, "albedo", ...(surfaces ? ["isovalue"] : [])];
+  // Light that is baked for each turn is that of the view's angles.
+  if (!plan.turns) return only(query, [...names, ...ANGLES]);
   return { ...only(query, names), ...(scene.turns && anglesOf(turn)) };
 }
 
 /**
- * Return true if the server bakes light for each of its turns, so that the card does not turn it.
- * @param {Pick<Scene, "turn_step">} scene
- * @returns {boolean}
- */
-const isTurnBaked = ({ turn_step }) => Boolean(turn_step);
-
-/**
- * Return the angles by which the card turns the light, degrees: none if it does not.
+ * Return the angles by which the card turns the light: none if the server bakes it for each turn.
+ *
+ * The document says which, as hidden surfaces leave light that turns; the angles are still those of
+ * the server's pictures, in steps if the scene has them.
+ *
  * @param {Pick<Scene, "turns"|"turn_step">} scene
+ * @param {Pick<CardDocument, "plan">} document
  * @param {Angles} values
  * @returns {Angles} degrees
  */
-export function turnOf(scene, values) {
-  return scene.turns && !isTurnBaked(scene) ? anglesOf(values) : { yaw: 0, pitch: 0, roll: 0 };
+export function turnOf({ turns, turn_step }, { plan }, values) {
+  return turns && plan.turns ? inSteps(values, turn_step) : { yaw: 0, pitch: 0, roll: 0 };
 }
 
 /**
@@ -186,7 +186,7 @@ export function cardView(scene, document, values, folded) {
   return {
     isovalue: values.isovalue,
     camera: { eye, target, up, fov: values.fov, parallel },
-    light: fromAngles(turnOf(scene, values)),
+    light: fromAngles(turnOf(scene, document, values)),
     exposure: values.exposure,
     ...(folded && {
       albedo: vector((i) => (folded[i] > 0 ? albedoOf(scene, values)[i] / folded[i] : 1)),
