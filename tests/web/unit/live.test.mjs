@@ -444,6 +444,33 @@ test("the error of the card's pictures is predicted once all their light is here
   assert.equal(live.predicted, null, "one converges");
 });
 
+test("no error is predicted of pinned surfaces' light from another isovalue", async () => {
+  const surfaces = [{ isovalue: null }, { isovalue: 50 }];
+  const document = { drawable: true, reason: "", scene: { ...DOCUMENT, surfaces, target: 0.03, expected: 0.04 } };
+  await ready({ document });
+  card.drawing = { texels: { chunks: new Map([["0.0.1", { version: "1a" }]]) } };
+  live.rest(A, LIT, [{ at: "0.0.1", version: "1a", final: true }]);
+  assert.ok(Math.abs(live.predicted - 0.05) < 1e-12);
+  live.move(true);
+  live.show(knobs({ azimuth: 10, isovalue: 80 }));
+  assert.equal(live.predicted, null);
+});
+
+test("a list for an isovalue that a view slid past is not taken at rest", async () => {
+  const surfaces = [{ isovalue: null }, { isovalue: 50 }];
+  await ready({ document: { drawable: true, reason: "", scene: { ...DOCUMENT, surfaces, target: 0.03, expected: 0.04 } } });
+  card.drawing = { texels: { chunks: new Map([["0.0.1", { version: "1a" }]]) } };
+  listed = [{ at: "0.0.1", version: "9z", final: true }];
+  await clock.pass(1001);
+  live.move(true);
+  live.show(knobs({ isovalue: 80 }));
+  live.move(false);
+  live.rest(knobs({ isovalue: 90 }), LIT, [{ at: "0.0.1", version: "1a", final: true }]);
+  await settled();
+  assert.deepEqual(kinds().filter((kind) => kind === "chunks").length, 2, "one came late");
+  assert.ok(live.predicted !== null, "and did not replace that of the picture");
+});
+
 test("a shiny view has no predicted error, and is compared with a final picture", async () => {
   const shine = { surroundings: { href: "card/surroundings" } };
   const document = { drawable: true, reason: "", scene: { ...DOCUMENT, shine, target: 0.03, expected: 0.04 } };

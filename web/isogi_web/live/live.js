@@ -78,6 +78,8 @@ export class Live {
   #loaded = null;
   /** Chunks of the newest list. @type {CardChunk[]} */
   #chunks = [];
+  /** Isovalue that this list was asked for. */
+  #listedAt = NaN;
   /**
    * Lists whose light is all final, by their request: the server would send the same list again.
    * @type {Map<string, CardChunk[]>}
@@ -173,6 +175,8 @@ export class Live {
     if (!this.#card || !this.#loaded || !this.#values || !this.#has(this.#values)) return null;
     if (isLocal(this.#values.shading)) return 0;
     if (!this.#chunks.length || !this.#chunks.every(({ final }) => final)) return null;
+    // Light of pinned surfaces is another at each isovalue.
+    if (this.#loaded.facts.surfaces && this.#listedAt !== this.#values.isovalue) return null;
     const here = this.#card.drawing?.texels.chunks;
     const { target, expected } = this.#loaded.facts;
     return this.#chunks.every(({ at, version }) => here?.get(at)?.version === version)
@@ -220,7 +224,7 @@ export class Live {
     this.#final = facts?.provisional === false;
     const isLit = this.#final || facts?.coverage.provisional === 0;
     if (values.overlay !== "none" || isLit) this.#fade();
-    if (card && chunks) this.#bring(chunks);
+    if (card && chunks) this.#bring(chunks, values);
     else if (card) this.#list(true);
     else this.#prepare(values);
     // A card that has not been checked yet is checked with this view.
@@ -440,12 +444,13 @@ export class Live {
     if (!values || isLocal(values.shading)) return;
     if (!now && time - this.#listed < LIST_MS) return;
     this.#listed = time;
+    const listed = now ? values : viewNear(values, this.#scene);
     try {
-      this.#bring(
-        await this.#listOf(
-          chunksQuery(this.#scene, now ? values : viewNear(values, this.#scene), this.#hooks.size()),
-        ),
-      );
+      const chunks = await this.#listOf(chunksQuery(this.#scene, listed, this.#hooks.size()));
+      // A view that slid on, and rests, has a list of its own.
+      const isPast = !this.#moving && this.#values?.isovalue !== values.isovalue;
+      if (isPast && this.#loaded?.facts.surfaces) return;
+      this.#bring(chunks, values);
     } catch (error) {
       if (!(error instanceof Trouble)) throw error;
     }
@@ -466,10 +471,15 @@ export class Live {
     return chunks;
   }
 
-  /** Request the light of some chunks. @param {CardChunk[]} chunks */
-  #bring(chunks) {
+  /**
+   * Request the light of some chunks.
+   * @param {CardChunk[]} chunks
+   * @param {Knobs} listed view that they were asked for
+   */
+  #bring(chunks, listed) {
     if (!this.#loaded || !this.#values || isLocal(this.#values.shading)) return;
     this.#chunks = chunks;
+    this.#listedAt = listed.isovalue;
     const { facts, feed } = this.#loaded;
     const values = { ...this.#values, ...turnOf(this.#scene, facts, this.#values) };
     feed.bring(chunks, values, this.#moving).catch((error) => {
