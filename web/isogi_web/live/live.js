@@ -99,7 +99,10 @@ export class Live {
    * @type {{values: Knobs, since: number, begun: boolean}|null}
    */
   #check = null;
-  /** Shadings whose pictures were found right: each has a program. @type {Set<string>} */
+  /**
+   * Shadings whose pictures were found right, with and without shine: each has a part of the shaders.
+   * @type {Set<string>}
+   */
   #checked = new Set();
   #unlit = false; // true while the scene was shown by local models alone: no light was asked for
   #final = false; // true if the server's picture at rest is final
@@ -161,8 +164,17 @@ export class Live {
 
   /** Return true if the card's pictures show shine, by few rays. @returns {boolean} */
   get shines() {
-    if (!this.#values || isLocal(this.#values.shading)) return false;
-    return Boolean(this.#loaded?.facts.shine) && this.#values.strength !== 0;
+    return Boolean(this.#values && this.#shinesIn(this.#values));
+  }
+
+  /** Return true if the card's picture of a view shows shine. @param {Knobs} values */
+  #shinesIn({ shading, strength }) {
+    return Boolean(this.#loaded?.facts.shine) && !isLocal(shading) && strength !== 0;
+  }
+
+  /** Return the name of what a check of a view's picture finds right. @param {Knobs} values */
+  #checkedBy(values) {
+    return this.#shinesIn(values) ? `${values.shading} shine` : values.shading;
   }
 
   /**
@@ -228,8 +240,8 @@ export class Live {
     else if (card) this.#list(true);
     else this.#prepare(values);
     // A card that has not been checked yet is checked with this view.
-    if (!card || this.shows || this.#checked.has(values.shading) || values.overlay !== "none")
-      return;
+    const isKnown = this.#checked.has(this.#checkedBy(values));
+    if (!card || this.shows || isKnown || values.overlay !== "none") return;
     if (this.#check?.values !== values)
       this.#check = { values, since: performance.now(), begun: false };
     this.#animate();
@@ -404,7 +416,7 @@ export class Live {
     const share = server && shareThatDiffers(card.read(), server, this.#canvas, error, around);
     if (share === null) return; // try again with another picture of the server
     this.#check = null;
-    this.#checked.add(check.values.shading);
+    this.#checked.add(this.#checkedBy(check.values));
     if (share <= (this.shines ? MOST_DIFFER_SHINY : MOST_DIFFER)) return;
     const reason = `The graphics card draws ${Math.round(100 * share)} % of the pixels differently from the server: the server draws.`;
     this.#leave(reason);
