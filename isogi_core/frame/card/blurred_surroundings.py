@@ -9,11 +9,12 @@ Importance Sampling", 2008.
 import hashlib
 import math
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import partial
 
 import numpy as np
 
 from isogi_core.model.environment import OVERVIEW, Environment, resample
+from isogi_core.plan.inputs import find_once
 
 FORMAT = 1
 """Version of the levels; raised if the same environment gives others."""
@@ -59,9 +60,13 @@ class BlurredSurroundings:
         return b"".join(level.astype("<f2").tobytes() for level in self.levels)
 
 
-@lru_cache(maxsize=8)
 def blurred_surroundings(environment: Environment) -> BlurredSurroundings:
-    """Return the levels of an ``environment``. The first one has as many rows as its image, rounded
+    """Return the levels of an ``environment``, which are made once, and kept as long as it is."""
+    return find_once(environment, BlurredSurroundings, partial(blur_surroundings, environment))
+
+
+def blur_surroundings(environment: Environment) -> BlurredSurroundings:
+    """Make the levels of an ``environment``. The first one has as many rows as its image, rounded
     up to a power of two, and at most those of the overview.
     """
     rows = 1 << max(len(environment.image) - 1, FEWEST_ROWS - 1).bit_length()

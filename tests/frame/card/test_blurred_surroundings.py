@@ -1,6 +1,8 @@
 """The surroundings that cards mirror, beside sums over the sphere."""
 
+import gc
 import math
+import weakref
 
 import numpy as np
 import pytest
@@ -51,6 +53,15 @@ def test_a_sun_keeps_its_light_at_every_level() -> None:
         shown = found.brightness * level.astype(float)
         np.testing.assert_allclose(mean_radiance(shown), mean, rtol=0.02)
         assert shown.min() == pytest.approx(0.5, rel=0.01)
+
+
+def test_levels_are_kept_as_long_as_their_environment() -> None:
+    around = environment(RNG.random((8, 16, 3)))
+    assert blurred_surroundings(around) is blurred_surroundings(around)
+    known = weakref.ref(around), weakref.ref(blurred_surroundings(around))
+    del around
+    gc.collect()
+    assert [each() for each in known] == [None, None]
 
 
 def test_a_blur_is_as_wide_as_the_pixels_of_its_level() -> None:
