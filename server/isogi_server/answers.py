@@ -16,7 +16,7 @@ from isogi_core.frame.card.blocks import CHUNKS, raw_scale
 from isogi_core.frame.card.colour_codes import ColourCodes
 from isogi_core.frame.card.looks import SeenChunk
 from isogi_core.frame.card.obstacles import BYTES, Obstacle, find_obstacles
-from isogi_core.frame.card.sides import look_at_sides
+from isogi_core.frame.card.sides import seen_on_sides
 from isogi_core.frame.film import COLOURS, SCALE, ground_of, lit
 from isogi_core.frame.fitting import Stand, fitted_to_all
 from isogi_core.frame.frame import Frame
@@ -698,7 +698,7 @@ def chunks_in(renderer: Renderer, frame: Frame) -> list[CardChunk]:
     """Return the chunks that the view of a ``frame`` reads, most visible first; none if it is drawn
     without texels.
 
-    Raises as ``look_at_sides`` does.
+    Raises as ``seen_on_sides`` does.
     """
     if frame.view.shading != "gi":
         return []
@@ -710,5 +710,5 @@ def chunks_in(renderer: Renderer, frame: Frame) -> list[CardChunk]:
         error = None
     if error is None:
         return []
-    look = look_at_sides(renderer, frame.view, Goal.checked(error), renderer.tiles)
-    return chunk_list(look.seen)
+    seen = seen_on_sides(renderer, frame.view, Goal.checked(error), renderer.tiles)
+    return chunk_list(seen)

@@ -23,7 +23,7 @@ from isogi_core.frame.card.chunk_texels import (
     number_texels,
     with_neighbours,
 )
-from isogi_core.frame.card.looks import Look, SeenChunk, look_at
+from isogi_core.frame.card.looks import Look, SeenChunk, look_at, seen_chunks
 from isogi_core.frame.known_blocks import Block, Packed
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.renderer import Renderer
@@ -50,20 +50,39 @@ def chunks_of_sides(scene: Scene, chunks: Index) -> Index:
 
 def look_at_sides(renderer: Renderer, view: View, goal: Goal, tiles: Tiles) -> Look:
     """Return the look of a ``view``: of all sides of surfaces that it shows, if these are several,
-    else ``look_at``. Raises the errors of ``Loader.ensure``.
+    else ``look_at``. Raises the errors of ``Loader.ensure``, and NoRoomError.
     """
     if renderer.peeling is None:
         return look_at(renderer, view, goal, tiles)
-    # Count the points that read each chunk of each side; those of most points come first.
-    found: list[tuple[int, SeenChunk]] = []
-    for seen in renderer.peeling.seen(view, tiles):
-        found += chunks_of_side(seen, goal, tiles)
-    chunks = tuple(chunk for _, chunk in sorted(found, key=lambda each: -each[0]))
+    chunks = seen_on_sides(renderer, view, goal, tiles)
     if all(chunk.final for chunk in chunks):
         return Look(chunks, None)
     # The picture knows which side is to have light first. Without a target nobody checks it.
     frame = renderer.peeling.draw(view, goal, tiles, Stopwatch())
     return Look(chunks, replace(frame, aim=None))
+
+
+def seen_on_sides(
+    renderer: Renderer, view: View, goal: Goal, tiles: Tiles
+) -> tuple[SeenChunk, ...]:
+    """Return the chunks that a ``view`` reads, those of most points first, without drawing it: of
+    all sides of surfaces that it shows, if these are several. Raises the errors of
+    ``Loader.ensure``, and NoRoomError.
+    """
+    peeling = renderer.peeling
+    if peeling is None:
+        return seen_chunks(renderer, view, goal, tiles)
+
+    def find() -> list[tuple[int, SeenChunk]]:
+        found: list[tuple[int, SeenChunk]] = []
+        for seen in peeling.seen(view, tiles):
+            found += chunks_of_side(seen, goal, tiles)
+            peeling.check_room()
+        return found
+
+    # Each chunk of each side comes with the number of points that read it.
+    found = peeling.in_room(find)
+    return tuple(chunk for _, chunk in sorted(found, key=lambda each: -each[0]))
 
 
 def chunks_of_side(seen: SeenSide, goal: Goal, tiles: Tiles) -> list[tuple[int, SeenChunk]]:
@@ -97,16 +116,23 @@ def known_light_of_sides(
 ) -> Packed:
     """Return the blocks of ``chunks`` in the lattice of all sides, under the light of a ``view``
     and at its isovalue; each is folded once for all that ask for it. Raises the errors of
-    ``Loader.ensure``.
+    ``Loader.ensure``, and NoRoomError.
     """
-    if renderer.peeling is None:
+    peeling = renderer.peeling
+    if peeling is None:
         return known_light(renderer, view, chunks, goal, tiles)
-    blocks = dict[Index, Block]()
-    for side, some in by_side(renderer, chunks).items():
-        light = SideLight.of(renderer.peeling, side, view.isovalue)
-        found = light.known(renderer, view, some, goal, tiles)
-        places = ((at[0] + light.behind, *at[1:]) for at in some)
-        blocks |= zip(places, found.blocks, strict=True)
+
+    def find() -> dict[Index, Block]:
+        blocks = dict[Index, Block]()
+        for side, some in by_side(renderer, chunks).items():
+            light = SideLight.of(peeling, side, view.isovalue)
+            found = light.known(renderer, view, some, goal, tiles)
+            places = ((at[0] + light.behind, *at[1:]) for at in some)
+            blocks |= zip(places, found.blocks, strict=True)
+            peeling.check_room()
+        return blocks
+
+    blocks = peeling.in_room(find)
     return Packed(tuple(blocks[at] for at in chunks))
 
 

@@ -4,6 +4,7 @@ its own, and their sum.
 
 import threading
 from collections import OrderedDict
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple, TypeVar
 
@@ -33,6 +34,8 @@ from isogi_core.model.view import View
 from isogi_core.plan.isovalue_levels import levels_around
 from isogi_core.plan.variants import OUTER, WALLS_SIDE, Side, scene_of_side, sides_of, surfaces_of
 from isogi_core.prepared.prepared_scene import PreparedScene
+
+Found = TypeVar("Found")
 
 SHOWN = 2
 """Number of isovalues of the sliding surface for which views of pinned surfaces are kept."""
@@ -92,13 +95,19 @@ class PeelingRenderer:
         """Draw all sides that a ``view`` shows, and add them up. Raises Cancelled and
         NoRoomError.
         """
+        return self.in_room(lambda: self._draw_sides(view, goal, tiles, watch))
+
+    def in_room(self, work: Callable[[], Found]) -> Found:
+        """Return what ``work`` returns, which asks for renderers of sides, reads the light of one
+        isovalue, and checks the room of each side. Raises its errors, and NoRoomError.
+        """
         try:
-            return self._draw_sides(view, goal, tiles, watch)
+            return work()
         except NoRoomError:
             # Light of other isovalues may take the room: drop all, and read again the light of this
-            # view alone.
+            # work alone.
             self._let_go()
-            return self._draw_sides(view, goal, tiles, watch)
+            return work()
 
     def _draw_sides(self, view: View, goal: Goal, tiles: Tiles, watch: Stopwatch) -> ComposedFrame:
         """Draw and add up all sides, with the light of other isovalues in memory."""
@@ -116,7 +125,7 @@ class PeelingRenderer:
                 tall = self._view_of(side, view, layers.layers)
                 shot = renderer.shot(tall, layers.gbuffer, goal, tiles, watch)
                 frame = renderer.draw(shot)
-                self._check_room()
+                self.check_room()
             parts.append(Part(side, layers, frame, renderer.caches))
         # Add up all sides by the weights of their layers.
         with watch.stage("compose"):
@@ -227,7 +236,7 @@ class PeelingRenderer:
             prepared = self._inner.beside(scene)
         return Caches(prepared, self._caches.store, self._caches.budget, makes=False)
 
-    def _check_room(self) -> None:
+    def check_room(self) -> None:
         """Raise NoRoomError if the light of all other sides takes more than the budget."""
         with self._lock:
             taken = sum(each.nbytes for each in self._held.values())
