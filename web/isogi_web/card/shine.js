@@ -19,6 +19,7 @@ const STRATA = 2; // rays of a wide lobe along each side of the square that maps
 const TAIL = 0.4; // share of facets, the steepest ones, that have no rays of their own
 const WIDTH_OF_TAIL = 3; // width, in alpha, by which most of these mirror: STEEP in shine.glsl
 const OVERLAP = 2; // solid angle of a ray over its share of the lobe, as rays are few and fixed
+const OVERLAP_AT_REST = 4; // the same of many, which are not in order
 
 /**
  * Return the bytes of the surroundings among the slabs of a scene.
@@ -73,7 +74,7 @@ export class Shine {
     // A narrow lobe needs one ray, and none if it counts nothing.
     const wide = alpha > NARROW ? STRATA : 1;
     const strata = strength > 0 ? wide : 0;
-    // Steep facets of a rough lobe mirror much below the horizon: leave these to rays.
+    // What is wider than the coarsest level is left to rays.
     const coarsest = Math.PI / (surroundings.rows >> (surroundings.levels - 1));
     return {
       alpha,
@@ -88,8 +89,8 @@ export class Shine {
       reflecting: albedo,
       spot: n === 0 ? [0.5, 0.5] : [halton(n, 2), halton(n, 3)],
       first_ray: n * strata ** 2,
-      together: (strata ** 2 * (n === 0 ? 1 : SAMPLES)) / OVERLAP,
-      tail: TAIL * Math.max(1 - ((WIDTH_OF_TAIL * alpha) / coarsest) ** 2, 0),
+      together: (strata ** 2 * (n === 0 ? 1 : SAMPLES)) / (n === 0 ? OVERLAP : OVERLAP_AT_REST),
+      tail: TAIL * Math.min(coarsest / (WIDTH_OF_TAIL * alpha), 1),
     };
   }
 
