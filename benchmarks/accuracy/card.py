@@ -1,5 +1,5 @@
-"""The card's pictures beside the server's: 20 views of six shared volumes, lobes, and texels that
-just became visible.
+"""The card's pictures beside the server's: 20 views of six shared volumes, lobes, several surfaces,
+shine, and texels that just became visible.
 
     python -m benchmarks.accuracy card -o FOLDER [--size 128] [--only engine]
 
@@ -35,6 +35,7 @@ from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.atomic_file import write_whole
 from tests.frame.conftest import Workbench
+from tests.frame.several.drawing import bake
 from tests.web.card.lab import (
     CARD_FLAGS,
     CardScene,
@@ -69,8 +70,9 @@ SHOW = """card.drawing.show(card.last.view, card.last.size);
 class Case:
     """A view of a ``volume`` under a ``light``, by a name; ``kind`` says what is compared.
 
-    Its light has a ``turn`` of angles in degrees; ``after`` are the azimuth and the isovalue of the
-    view that is drawn with the light of this one alone.
+    Its light has a ``turn`` of angles in degrees; its ``shine`` has a ``roughness``; ``after`` are
+    the azimuth and the isovalue of the view that is drawn with the light of this one alone.
+    ``pinned`` are the isovalue of another surface and the share of rays that pass it.
     """
 
     volume: str
@@ -82,6 +84,9 @@ class Case:
     parallel: bool = False
     kind: str = "texels"
     after: tuple[float, float] | None = None
+    pinned: tuple[float, float] | None = None
+    shine: str = ""
+    roughness: float = 0.3
 
     @property
     def name(self) -> str:
@@ -90,7 +95,10 @@ class Case:
             ["turned"] * any(self.turn)
             + ["window"] * bool(self.window)
             + ["orthographic"] * self.parallel
+            + [f"{self.shine} {self.roughness:g}"] * bool(self.shine)
         )
+        if self.pinned:
+            more += [f"in {self.pinned[0]:g} of {self.pinned[1]:.0%} clear"]
         if self.after:
             more += [f"then {self.after[0]:g}° at {self.after[1]:g}"]
         return ", ".join(
@@ -136,12 +144,26 @@ NEW = (
     Case("head", 110, "uffizi", kind="new", after=(55.0, 110.0)),
     Case("engine", 70, "uffizi", kind="new", after=(40.0, 80.0)),
 )
-CASES = (*TEXELS, *LOBES, *NEW)
+SEVERAL = (
+    Case("head", 110, "uffizi", kind="several", pinned=(50.0, 0.6)),
+    Case("head", 115, "uffizi", 130, window="z>150", kind="several", pinned=(50.0, 0.6)),
+    Case("engine", 170, "uffizi", kind="several", pinned=(70.0, 0.6)),
+)
+SHINE = tuple(
+    Case(*place, kind=kind, shine=shine, roughness=roughness)
+    for place in (("engine", 70, "uffizi"), ("head", 110, "noon_grass"))
+    for shine, roughness in (("plastic", 0.3), ("metal", 0.1), ("metal", 0.5))
+    for kind in ("moving shine", "shine at rest")
+)
+CASES = (*TEXELS, *LOBES, *SEVERAL, *NEW, *SHINE)
 GOALS = {
     "texels": (0.999, 0.002),
     "moving": (0.98, 0.02),
     "rest": (0.992, 0.005),
+    "several": (0.999, 0.002),
     "new": (0.94, 0.03),
+    "moving shine": (0.5, 0.2),
+    "shine at rest": (0.7, 0.15),
 }
 """The share of surface pixels within 2/255 that is asked for at least, and the relative RMSE at
 most, by kind.
@@ -151,7 +173,10 @@ KINDS = {
     "texels": "light of texels, before pixels get light of their own",
     "moving": "lobes while the view moves, beside the server at rest",
     "rest": "lobes at rest, beside the server at rest, away from edges",
+    "several": "several surfaces, before pixels get light of their own",
     "new": "texels that just became visible, before any was sent",
+    "moving shine": "shine while the view moves, beside the server's final picture",
+    "shine at rest": "shine at rest, beside the server's final picture, away from edges",
 }
 
 
@@ -218,6 +243,11 @@ def scene_for(case: Case) -> Scene:
         "isovalue": case.isovalue,
         "lights": [dict(LIGHTS[case.light])],
     }
+    if case.pinned:
+        isovalue, clear = case.pinned
+        given["surfaces"] = [{"isovalue": isovalue, "clear": clear}]
+    if case.shine:
+        given["shine"] = {"kind": case.shine, "roughness": case.roughness}
     return build_scene(
         SceneSource(case.volume, {**given, "target_error": TARGET, "projected": False}, data)
     )
@@ -226,6 +256,8 @@ def scene_for(case: Case) -> Scene:
 def measure(case: Case, lab: Lab, folder: Path, size: int) -> Found:
     """Bake a view, draw it by the card and by the server, and compare."""
     bench = Workbench(scene_for(case), folder)
+    if case.pinned:
+        return among_several(case, bench, lab, size)
     size = size * (FINE if case.kind == "new" else 1)
     view = view_of(case, bench, size)
     first = view_of(replace(case, after=None), bench, size)
@@ -242,6 +274,8 @@ def measure(case: Case, lab: Lab, folder: Path, size: int) -> Found:
     exposure = bench.scene.default_exposure
     if case.kind == "rest":
         return at_rest(bench, shown, view, exposure, sent)
+    if case.shine:
+        return beside_final(bench, shown, view, exposure, sent, case.kind == "shine at rest")
     light, on = plain_light(bench.renderer, view, TARGET)
     if case.kind == "moving":
         light = bench.renderer.render(view, Goal.checked(TARGET)).radiance
@@ -253,13 +287,29 @@ def measure(case: Case, lab: Lab, folder: Path, size: int) -> Found:
     return Found(found.within, found.rmse, found.surface, found.torn, sent)
 
 
+def among_several(case: Case, bench: Workbench, lab: Lab, size: int) -> Found:
+    """Bake a view of several surfaces, draw it by the card and by the server, and compare."""
+    view = replace(view_of(case, bench, size), smooth=False)
+    bake(bench, view)
+    shown = CardScene(lab, bench.renderer, view, (size, size))
+    codes = bench.prepared.voxel_codes.code(bench.scene.volume.voxels)
+    sent = len(gzip.compress(codes.tobytes(), LEVEL)) + shown.light(view, TARGET)
+    exposure = bench.scene.default_exposure
+    frame = bench.renderer.render(view, Goal.checked(TARGET))
+    drawn = shown.picture(view, exposure=exposure)
+    # Clear surfaces cover a part of a pixel, and are seen all the same.
+    seen = replace(drawn, covers=(drawn.covers > 0.0).astype(np.float32))
+    found = difference(seen, frame.radiance, frame.state > 0, exposure)
+    return Found(found.within, found.rmse, found.surface, found.torn, sent)
+
+
 FINE = 3
 """By how much pictures of new texels are larger: where pixels are larger than texels, many texels
 are seen by none.
 """
 
-LOBES_OF = {"texels": False, "moving": True, "rest": True, "new": False}
-"""Whether lobes are drawn, by kind."""
+LOBES_OF = {kind: kind not in ("texels", "several", "new") for kind in KINDS}
+"""Whether lobes are drawn, by kind; light of several surfaces has none."""
 
 
 def at_rest(bench: Workbench, shown: CardScene, view: View, exposure: float, sent: int) -> Found:
@@ -284,6 +334,26 @@ def at_rest(bench: Workbench, shown: CardScene, view: View, exposure: float, sen
     return Found(
         within, rmse, int(flat.sum()), int((on != (picture.covers > 0.5))[flat].sum()), sent
     )
+
+
+def beside_final(
+    bench: Workbench, shown: CardScene, view: View, exposure: float, sent: int, rest: bool
+) -> Found:
+    """The card's picture beside the server's final one, whose noise is half of the target.
+
+    Pixels at edges are left out, as in ``at_rest``.
+    """
+    frame = bench.settled(view, TARGET)
+    drawn = shown.picture(view, rest=rest, exposure=exposure)
+    on = frame.state > 0
+    edges = smooth_edges(frame, bench.prepared, bench.renderer.tiles).edges
+    flat = on & (drawn.covers == 1.0)
+    flat.reshape(-1)[edges.pixels if edges else []] = False
+    found = difference(
+        replace(drawn, covers=flat), np.where(flat[..., None], frame.radiance, 0.0), flat, exposure
+    )
+    torn = int((on != (drawn.covers > 0.5)).sum())
+    return Found(found.within, found.rmse, found.surface, torn, sent)
 
 
 def view_of(case: Case, bench: Workbench, size: int) -> View:

@@ -78,6 +78,7 @@ COSTLIEST: dict[str, tuple[str, ...]] = {
     f"{SCENE}/card": (f"?{LARGEST}&cut=x>{{cut}}",),
     f"{SCENE}/card/volume/{{layers}}": ("?cut=x>{cut}",),
     f"{SCENE}/card/colours/{{layers}}": ("?cut=x>{cut}",),
+    f"{SCENE}/card/surroundings": ("?cut=x>{cut}",),
     f"{SCENE}/card/chunks": (f"?{LARGEST}&{NEAR}", f"?{LONGEST}&{ANYWHERE}"),
     f"{SCENE}/card/light/{{chunks}}": ("?yaw={turn}",),
     f"{SCENE}/card/transfer/{{chunks}}": ("?cut=x>{cut}",),

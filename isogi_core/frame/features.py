@@ -83,7 +83,6 @@ SUBSURFACE = Feature(
 SEVERAL_SURFACES = Feature(
     "several surfaces",
     lambda scene: scene.surfaces.several,
-    "Several surfaces are composed by the server.",
     kernels=(peel_rays,),
     traces_paths=True,
     in_stages=True,
@@ -92,7 +91,6 @@ SEVERAL_SURFACES = Feature(
 SHINE = Feature(
     "shine",
     lambda scene: scene.surfaces.shine is not None,
-    "Rays of shine are cast by the server.",
     kernels=(cast_shine, fill_below, fill_energy, pool_noise, filter_shine),
     shown=lambda scene, view: scene.surfaces.shine_for(view.shine) is not None,
 )

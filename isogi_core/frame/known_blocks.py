@@ -11,7 +11,6 @@ from functools import cached_property
 from itertools import chain
 from typing import Any, NamedTuple
 
-from isogi_core.cache.scene_caches import Loader
 from isogi_core.lru_cache import LruCache
 from isogi_core.prepared.prepared_scene import Index
 
@@ -96,16 +95,14 @@ class KnownBlocks:
         self,
         kind: Hashable,
         chunks: Sequence[Index],
-        loader: Loader,
+        versions: Callable[[Sequence[Index]], Sequence[bytes]],
         make: Callable[[Sequence[Index]], Packed],
-        check: Callable[[], object],
     ) -> Packed:
         """Return the blocks of ``chunks`` of some ``kind``: the light they are under, and the
-        target error.
+        target error. ``versions`` returns those that some chunks have now.
 
         Blocks that are not kept, or whose chunks have been baked on, are made by ``make``. Other
-        threads wait meanwhile, and find them. Raises the errors of ``make`` and of
-        ``Loader.ensure``.
+        threads wait meanwhile, and find them. Raises the errors of ``make`` and of ``versions``.
         """
         with self._lock:
             # Collect the blocks that are kept, and all chunks that these depend on.
@@ -113,9 +110,8 @@ class KnownBlocks:
             known: dict[Index, Block] = {at: block for at, block in held if block is not None}
             others = chain.from_iterable(block.around for block in known.values())
             around = tuple(dict.fromkeys([*chunks, *others]))
-            loader.ensure(around, check)
             # Keep those that no bake has outdated.
-            now = dict(zip(around, loader.pool.versions(around), strict=True))
+            now = dict(zip(around, versions(around), strict=True))
             found = {
                 at: self._keep((kind, at), block)
                 for at, block in known.items()

@@ -57,7 +57,7 @@ class Renderer:
     """Renders views of one scene, of one surface or of several. Safe to use from many threads.
 
     ``surface`` draws the surface and the walls; of several surfaces it draws the outer side of the
-    one that slides.
+    one that slides, and ``peeling`` all of them, which is None for scenes with one.
     """
 
     def __init__(
@@ -74,9 +74,10 @@ class Renderer:
         self.tiles = tiles
         self.surface = SurfaceRenderer(caches, tiles, most, filters, stand_in)
         # A picture of one surface is one shot; of several, a shot of each side, and their sum.
-        self._painter: SurfaceRenderer | PeelingRenderer = self.surface
+        self.peeling: PeelingRenderer | None = None
         if self.prepared.scene.surfaces.several:
-            self._painter = PeelingRenderer(self.surface)
+            self.peeling = PeelingRenderer(self.surface)
+        self._painter: SurfaceRenderer | PeelingRenderer = self.peeling or self.surface
         self.blocks = KnownBlocks(int(BLOCKS_SHARE * most))
         self.looks: LruCache[Any] = LruCache(most // 64)
 

@@ -120,8 +120,8 @@ class FilteredLight:
 
 
 class TexelShading:
-    """Finds the texels of views, reads their light, and carries it to pictures. Safe to use
-    from many threads.
+    """Finds the texels of views, reads the light that they have at its ``levels``, and carries it
+    to pictures. Safe to use from many threads.
     """
 
     def __init__(
@@ -139,7 +139,7 @@ class TexelShading:
         unfiltered light. ``stand_in`` is light for texels that have none yet.
         """
         self.prepared = prepared
-        self._levels = levels
+        self.levels = levels
         self._kept = kept
         self._filters = filters
         self._stand_in = stand_in
@@ -169,7 +169,7 @@ class TexelShading:
         if self._stand_in is not None:
             return None
         ages = list[int | None]()
-        for level in self._levels:
+        for level in self.levels:
             loader = level.caches.of(shot.view.shading)
             with shot.watch.stage("load"):
                 loader.ensure(texels.chunks, shot.tiles.check)
@@ -193,8 +193,8 @@ class TexelShading:
         their neighbours, and are CONVERGING in the reading. Raises the errors of ``Loader.ensure``.
         """
         # Read the light of each level, and mix it.
-        found = [self._lit_by(each.caches, texels, shot) for each in self._levels]
-        reading, lit = mixed(self._levels, found)
+        found = [self._lit_by(each.caches, texels, shot) for each in self.levels]
+        reading, lit = mixed(self.levels, found)
         if not self._is_filtered(shot.view, reading):
             return reading, lit
         view = shot.view

@@ -14,14 +14,17 @@ from isogi_core.files.scene_file import write_material_text
 from isogi_core.files.vector import Vector, triple
 from isogi_core.frame.card.blocks import CHUNKS, raw_scale
 from isogi_core.frame.card.colour_codes import ColourCodes
-from isogi_core.frame.card.looks import SeenChunk, seen_chunks
+from isogi_core.frame.card.looks import SeenChunk
 from isogi_core.frame.card.obstacles import BYTES, Obstacle, find_obstacles
+from isogi_core.frame.card.sides import seen_on_sides
 from isogi_core.frame.film import COLOURS, SCALE, ground_of, lit
 from isogi_core.frame.fitting import Stand, fitted_to_all
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.control_pixels import expected_error
 from isogi_core.frame.renderer import Renderer
+from isogi_core.frame.several.composed_frame import parts_of
+from isogi_core.frame.several.peeling_renderer import PeelingRenderer
 from isogi_core.frame.surface_point import point_at
 from isogi_core.frame.view_texels import carries_irradiance_ratios
 from isogi_core.kernels.shading.framebuffer import FINAL, TONE_GAIN, TONE_SHOULDER, TONE_TOE
@@ -36,7 +39,7 @@ from isogi_core.plan.histograms import shown_histogram
 from isogi_core.plan.left_out import S1_BYTES
 from isogi_core.plan.materials import material_settings
 from isogi_core.plan.scene import Scene
-from isogi_core.plan.variants import find_materials
+from isogi_core.plan.variants import Side, find_materials, surfaces_of
 from isogi_core.prepared.isosurface_mesh import surface_size
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_server.card_schemas import (
@@ -54,13 +57,16 @@ from isogi_server.card_schemas import (
     CardPlan,
     CardScene,
     CardSchema,
+    CardSide,
     CardSlab,
+    CardSurface,
     CardTerm,
     CardTone,
     CardValues,
     CardVolume,
     Colours,
 )
+from isogi_server.card_shine import card_shine
 from isogi_server.knobs import KNOBS
 from isogi_server.schemas import (
     CameraSchema,
@@ -436,7 +442,7 @@ def coverage_schema(frame: Frame, time_left: TimeLeft | None) -> Coverage:
     )
 
 
-CARD_FORMAT = 2
+CARD_FORMAT = 3
 """Version of the format of card data; raised if older pages cannot read it."""
 
 VOXELS_KEPT = Obstacle(
@@ -494,6 +500,7 @@ def card_scene(renderer: Renderer, view: View, query: Sequence[tuple[str, str]])
         values=CardValues(offset=volume.offset, scale=volume.scale, core=volume.core),
         volume=volume_of(prepared, query),
         colours=colours_of(scene, triple(np.array(spec.albedo)), query),
+        shine=card_shine(unturned, query),
         lattice=CardLattice(
             size=prepared.shape[::-1],
             density=prepared.lattice.density,
@@ -501,6 +508,7 @@ def card_scene(renderer: Renderer, view: View, query: Sequence[tuple[str, str]])
         ),
         plan=plan_of(renderer),
         light=card_light(unturned),
+        surfaces=surfaces_on_card(renderer, unturned),
         model=card_model(unturned),
         exposure=scene.default_exposure,
         tone=TONE,
@@ -622,6 +630,43 @@ def card_light(light: RotatedLight) -> CardLight:
     )
 
 
+def surfaces_on_card(renderer: Renderer, light: RotatedLight) -> list[CardSurface] | None:
+    """Return the surfaces of a scene with several, that which slides first, under the unturned
+    ``light`` of its outer side; None if the scene has one.
+    """
+    peeling = renderer.peeling
+    if peeling is None:
+        return None
+    found = []
+    for number, each in enumerate(surfaces_of(renderer.prepared.scene, light.view.isovalue)):
+        outer, inner = (
+            side_on_card(peeling, Side(number, is_inner), light) for is_inner in (False, True)
+        )
+        found.append(
+            CardSurface(
+                isovalue=each.isovalue if number else None,
+                clear=each.clear,
+                albedo=triple(np.array(each.leaving) / np.maximum(light.albedo, 1e-30)),
+                outer=outer,
+                inner=inner,
+            )
+        )
+    return found
+
+
+def side_on_card(peeling: PeelingRenderer, which: Side, light: RotatedLight) -> CardSide:
+    """Return the unshadowed light on a side of a surface, in the unit of the ``light`` of the
+    scene.
+    """
+    spec = peeling.renderer_of(which, light.view.isovalue).caches.spec("gi")
+    side = RotatedLight(spec, replace(light.view, albedo=None))
+    scale = spec.unit / light.spec.unit
+    return CardSide(
+        sky=colour_rows(scale * side.sky.lobe * side.sky.light),
+        least=triple(scale * side.unshadowed.least),
+    )
+
+
 def card_model(light: RotatedLight) -> CardModel:
     """Return the constants of the local models under the unturned ``light``."""
     model = light.local_model("phong", (0.0, 0.0))
@@ -653,9 +698,17 @@ def chunks_in(renderer: Renderer, frame: Frame) -> list[CardChunk]:
     """Return the chunks that the view of a ``frame`` reads, most visible first; none if it is drawn
     without texels.
 
-    Raises as ``seen_chunks`` does.
+    Raises as ``seen_on_sides`` does.
     """
-    if frame.quality.lacking is None or frame.view.shading != "gi":
+    if frame.view.shading != "gi":
         return []
-    goal = Goal.checked(frame.quality.lacking.reading.goal.error)
-    return chunk_list(seen_chunks(renderer, frame.view, goal, renderer.tiles))
+    if parts_of(frame):
+        error = frame.target
+    elif frame.quality.lacking is not None:
+        error = frame.quality.lacking.reading.goal.error
+    else:
+        error = None
+    if error is None:
+        return []
+    seen = seen_on_sides(renderer, frame.view, Goal.checked(error), renderer.tiles)
+    return chunk_list(seen)

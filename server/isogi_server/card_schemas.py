@@ -75,6 +75,34 @@ class CardColours(BaseModel):
     slabs: list[CardSlab]
 
 
+class CardSurroundings(BaseModel):
+    """The light from far away as lat-long images in its own axes, ``rows`` × 2 rows at first and
+    half of that at each further level, and the address of all: halves of linear RGB, in units of
+    ``brightness``.
+    """
+
+    rows: int
+    levels: int
+    brightness: float
+    bytes: int
+    href: str
+
+
+class CardShine(BaseModel):
+    """The shine of a surface: ``kind``, ``roughness`` and ``strength`` of its lobe, as the view
+    asks for them; others need no other document.
+
+    Head on, metal mirrors its ``albedo``, and plastic the share ``plastic``.
+    """
+
+    kind: str
+    roughness: float
+    strength: float
+    plastic: float
+    albedo: Triple
+    surroundings: CardSurroundings
+
+
 class CardLattice(BaseModel):
     """The lattice: texels along x, y, z, texels per voxel, and texels along each side of a
     chunk.
@@ -160,6 +188,29 @@ class CardModel(BaseModel):
     exponent: float
 
 
+class CardSide(BaseModel):
+    """The light on one side of a surface without shadows, unturned: the ``sky``, and the least
+    light.
+    """
+
+    sky: Colours
+    least: Triple
+
+
+class CardSurface(BaseModel):
+    """One of several surfaces: its ``isovalue`` in the units of the file, null for the one that
+    slides; the share ``clear`` of rays that pass it; and its ``albedo`` over that of local models.
+
+    Its outer side is towards lower values, its inner side towards higher ones.
+    """
+
+    isovalue: float | None
+    clear: float
+    albedo: Triple
+    outer: CardSide
+    inner: CardSide
+
+
 class CardTone(BaseModel):
     """Constants of the tone curve."""
 
@@ -199,9 +250,11 @@ class CardScene(BaseModel):
     values: CardValues
     volume: CardVolume
     colours: CardColours | None
+    shine: CardShine | None
     lattice: CardLattice
     plan: CardPlan
     light: CardLight
+    surfaces: list[CardSurface] | None
     model: CardModel
     exposure: float
     tone: CardTone

@@ -460,8 +460,11 @@ class TransferParams(VariantParams):
 
 
 class FoldParams(TransferParams):
-    """The light that chunks are shown under."""
+    """The light that chunks are shown under, and the isovalue, which light of pinned surfaces
+    depends on.
+    """
 
+    isovalue: float | str | None = knob("isovalue")
     light: Quaternion | None = knob("light")
     yaw: float = knob("yaw")
     pitch: float = knob("pitch")

@@ -171,9 +171,11 @@ export interface CardScene {
   values: CardValues;
   volume: CardVolume;
   colours: CardColours | null;
+  shine: CardShine | null;
   lattice: CardLattice;
   plan: CardPlan;
   light: CardLight;
+  surfaces: Array<CardSurface> | null;
   model: CardModel;
   exposure: number;
   tone: CardTone;
@@ -199,12 +201,63 @@ export interface Card {
 }
 
 /**
+ * The shine of a surface: `kind`, `roughness` and `strength` of its lobe, as the view
+ * asks for them; others need no other document.
+ *
+ * Head on, metal mirrors its `albedo`, and plastic the share `plastic`.
+ */
+export interface CardShine {
+  kind: string;
+  roughness: number;
+  strength: number;
+  plastic: number;
+  albedo: [number, number, number];
+  surroundings: CardSurroundings;
+}
+
+/**
+ * The light on one side of a surface without shadows, unturned: the `sky`, and the least
+ * light.
+ */
+export interface CardSide {
+  sky: [Array<number>, Array<number>, Array<number>];
+  least: [number, number, number];
+}
+
+/**
  * Layers of voxels, from the `first` to the one before the `last`, and the address of
  * their codes.
  */
 export interface CardSlab {
   first: number;
   last: number;
+  href: string;
+}
+
+/**
+ * One of several surfaces: its `isovalue` in the units of the file, null for the one that
+ * slides; the share `clear` of rays that pass it; and its `albedo` over that of local models.
+ *
+ * Its outer side is towards lower values, its inner side towards higher ones.
+ */
+export interface CardSurface {
+  isovalue: number | null;
+  clear: number;
+  albedo: [number, number, number];
+  outer: CardSide;
+  inner: CardSide;
+}
+
+/**
+ * The light from far away as lat-long images in its own axes, `rows` × 2 rows at first and
+ * half of that at each further level, and the address of all: halves of linear RGB, in units of
+ * `brightness`.
+ */
+export interface CardSurroundings {
+  rows: number;
+  levels: number;
+  brightness: number;
+  bytes: number;
   href: string;
 }
 

@@ -389,7 +389,7 @@ function startLoop(scene, view, picture, { trouble, card, shown, say, scenes }) 
       size: () => picture.size(1, true),
       picture: () => $("picture", HTMLImageElement),
       drawn() {
-        shown.cover({ of: shown.asked, predicted: live.predicted });
+        shown.cover({ of: shown.asked, predicted: live.predicted, shines: live.shines });
         $("stage").dataset.ground = ground(shown.asked.values);
       },
       gone: () => shown.uncover(),

@@ -192,10 +192,12 @@ BODIES = {FOLDED: folded_body, RAW: raw_body, CODED: coded_body}
 
 
 def pack(
-    chunks: ChunkTexels, normals: np.ndarray, values: np.ndarray, kind: int
+    chunks: ChunkTexels, normals: np.ndarray, values: np.ndarray, kind: int, behind: int = 0
 ) -> Iterator[bytes]:
     """Yield the block of each of the ``chunks``, of a ``kind``, from the ``normals`` (m, 3) and the
     ``values`` (m, n) of all their texels: light, transfer or its codes, as the kind has it.
+
+    Blocks name each chunk by its index, moved by ``behind`` chunks along z.
     """
     # Sort the texels of all chunks at once, by chunk and brick, and put a record with the mean of
     # each brick behind its texels. A card takes the mean in place of a texel that is not there.
@@ -220,7 +222,8 @@ def pack(
         bricks["place"] = order.places[a:b]
         bricks["first"] = firsts[a:b] - first
         body = BODIES[kind](words[first:last], numbers[first:last])
-        yield block_of(index, version, bricks, last - first, body, kind)
+        place = (index[0] + behind, *index[1:])
+        yield block_of(place, version, bricks, last - first, body, kind)
 
 
 def block_of(

@@ -17,6 +17,7 @@ from isogi_core.frame.known_blocks import Block, Packed
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.shading import fill_texel_records, filter_texel_light, light_sources
+from isogi_core.frame.surface_renderer import SurfaceRenderer
 from isogi_core.frame.texel_normals import normals_at_positions
 from isogi_core.frame.texel_reading import Reading
 from isogi_core.frame.tiles import Tiles
@@ -66,7 +67,13 @@ def known(
     tiles: Tiles,
 ) -> Packed:
     """Return blocks of a ``kind`` that the renderer keeps, or that ``make`` makes now."""
-    return renderer.blocks.find(kind, chunks, renderer.caches.of("gi"), make, tiles.check)
+    loader = renderer.caches.of("gi")
+
+    def versions(some: Sequence[Index]) -> tuple[bytes, ...]:
+        loader.ensure(some, tiles.check)
+        return loader.pool.versions(some)
+
+    return renderer.blocks.find(kind, chunks, versions, make)
 
 
 def fold_chunks(
@@ -79,19 +86,28 @@ def fold_chunks(
     errors of ``Loader.ensure``.
     """
     light = RotatedLight(renderer.caches.spec("gi"), view)
-    # Read the light of the texels, and filter it about their normals, as for a picture.
     with hold_filtering(renderer, chunks, goal, tiles) as (found, pool):
         lit = light_sources(found.reading.sources(pool), light, tiles)
-    about = normals_of(renderer, found.texels, tiles)
+    about, values = fold_light(renderer.surface, found, lit, light, tiles)
+    blocks = pack(found, about, values, FOLDED)
+    return packed(found, blocks, len(chunks), renderer.prepared)
+
+
+def fold_light(
+    surface: SurfaceRenderer, found: ChunkTexels, lit: np.ndarray, light: RotatedLight, tiles: Tiles
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the normals (m, 3) of the texels that were ``found``, and their direct and reflected
+    light, (m, 6): from ``lit`` (m, LIGHT_NUMBERS), filtered about the normals as for a picture of a
+    ``surface`` if it is grainy. Raises Cancelled.
+    """
+    about = normals_of(surface, found.texels, tiles)
     reading = found.reading
     if reading.grainy.any():
         reading, lit = filter_texel_light(found.texels, reading, lit, about, light, tiles)
-    # Pack direct and reflected light.
     records = fill_texel_records(reading.grade, lit, about, light, tiles)
     direct = records[:, DIRECT_COLUMN : DIRECT_COLUMN + 3]
     reflected = records[:, REFLECTED_COLUMN : REFLECTED_COLUMN + 3]
-    blocks = pack(found, about, np.column_stack([direct, reflected]), FOLDED)
-    return packed(found, blocks, len(chunks), renderer.prepared)
+    return about, np.column_stack([direct, reflected])
 
 
 def transfer_chunks(
@@ -142,7 +158,7 @@ def read_raw(
     """
     with hold_texels(renderer.caches.of("gi"), chunks, goal, tiles) as (found, pool):
         numbers = raw_numbers(found.reading, pool)
-    return found, normals_of(renderer, found.texels, tiles), numbers
+    return found, normals_of(renderer.surface, found.texels, tiles), numbers
 
 
 @contextmanager
@@ -201,8 +217,7 @@ def raw_scale(spec: BakeSpec) -> float:
     return 1.0
 
 
-def normals_of(renderer: Renderer, texels: ViewTexels, tiles: Tiles) -> np.ndarray:
-    """Return the normals that texels are lit about, (m, 3) float32."""
-    return normals_at_positions(
-        texels, texels.places, renderer.surface.texel_shading.normals, renderer.prepared, tiles
-    )
+def normals_of(surface: SurfaceRenderer, texels: ViewTexels, tiles: Tiles) -> np.ndarray:
+    """Return the normals that texels of a ``surface`` are lit about, (m, 3) float32."""
+    normals = surface.texel_shading.normals
+    return normals_at_positions(texels, texels.places, normals, surface.prepared, tiles)

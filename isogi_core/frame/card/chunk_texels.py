@@ -69,7 +69,7 @@ def hold_texels(
             near = near_texels(chunks, filtered, prepared)
         else:
             near = None
-        occupied = find_occupied(pool, tuple(chunks), held.slots, near)
+        occupied = find_occupied(chunks, held.slots, find_there(pool, held.slots, near))
         texels = number_texels(occupied, prepared)
         # Look up the light of the texels while their chunks are held.
         yield (
@@ -83,15 +83,18 @@ def hold_texels(
         )
 
 
-def find_occupied(
-    pool: PagePool, chunks: tuple[Index, ...], slots: np.ndarray, near: np.ndarray | None
-) -> Occupied:
-    """Find the texels that ``chunks`` in ``slots`` of a pool hold, or those ``near`` alone;
-    slots are -1 if a chunk is absent.
+def find_there(pool: PagePool, slots: np.ndarray, near: np.ndarray | None) -> np.ndarray:
+    """Mark the texels that chunks in ``slots`` of a pool hold, or those ``near`` alone; (chunks,
+    texels) bool. Slots are -1 if a chunk is absent.
     """
     there = np.where(slots[:, None] >= 0, pool.table[slots] != UNLIT_ROW, False)
     if near is not None:
         there &= near
+    return np.asarray(there)
+
+
+def find_occupied(chunks: Sequence[Index], slots: np.ndarray, there: np.ndarray) -> Occupied:
+    """Find the ``chunks``, in ``slots`` of a pool, with any texels ``there``."""
     some = np.flatnonzero(there.any(axis=1))
     return Occupied(tuple(chunks[i] for i in some.tolist()), slots[some], there[some])
 

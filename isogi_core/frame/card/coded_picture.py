@@ -57,7 +57,7 @@ def draw_coded(renderer: Renderer, view: View, coding: Coding, goal: Goal) -> Fr
     with loader.pool.hold(texels.chunks) as held:
         reading = read_texels(texels, held.slots, loader.pool, goal, tiles)
         numbers = raw_numbers(reading, loader.pool)
-    about = normals_of(renderer, texels, tiles)
+    about = normals_of(renderer.surface, texels, tiles)
     # Encode and decode them, and go on as a card does: light, filter, interpolation, lobes,
     # colours.
     lit = fold(coding.numbers(coding.codes(numbers)), light)

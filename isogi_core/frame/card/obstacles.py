@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from isogi_core.frame.features import FEATURES
+from isogi_core.frame.features import FEATURES, SHINE
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 
@@ -26,6 +26,10 @@ class Obstacle(NamedTuple):
 
 OTHER_SHADING = Obstacle("shading", f"This shading is drawn by the server: a card draws {SHOWN}.")
 
+SHINE_OF_LAMPS = Obstacle(
+    SHINE.name, "Lamps that a shiny surface mirrors are drawn by the server: a card mirrors skies."
+)
+
 VOLUME_TOO_LARGE = Obstacle(
     "volume too large",
     f"The volume, with its colours, takes more than {BYTES >> 20} MB: the server draws it.",
@@ -34,15 +38,18 @@ VOLUME_TOO_LARGE = Obstacle(
 
 def find_obstacles(scene: Scene, view: View, nbytes: int) -> list[Obstacle]:
     """Return all reasons why a card cannot draw a ``view`` of a ``scene`` whose voxels and colours
-    take ``nbytes`` bytes; none if it can.
-
-    Raises ViewError if views of the scene may not ask for the view's shine.
+    take ``nbytes`` bytes; none if it can. Raises ViewError if the scene cannot shine as the view
+    asks.
     """
     found = [
         Obstacle(feature.name, feature.why_not_on_card)
         for feature in FEATURES
         if feature.why_not_on_card and feature.is_shown(scene, view)
     ]
+    # A document serves all strengths of shine: a scene that shines may be asked for any.
+    scene.surfaces.shine_for(view.shine)
+    if SHINE.present(scene) and scene.lighting.lamps.any:
+        found.append(SHINE_OF_LAMPS)
     if view.shading not in SHADINGS:
         found.append(OTHER_SHADING)
     if nbytes > BYTES:

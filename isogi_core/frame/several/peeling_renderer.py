@@ -4,8 +4,9 @@ its own, and their sum.
 
 import threading
 from collections import OrderedDict
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -24,7 +25,14 @@ from isogi_core.frame.several.composed_frame import (
     to_refine,
 )
 from isogi_core.frame.several.mixed_reading import Level
-from isogi_core.frame.several.peels import Peeler, Peels, first_of, side_layers, walls_of
+from isogi_core.frame.several.peels import (
+    Peeler,
+    Peels,
+    SideLayers,
+    first_of,
+    side_layers,
+    walls_of,
+)
 from isogi_core.frame.several.smoothing import smooth_surfaces
 from isogi_core.frame.surface_renderer import SurfaceRenderer
 from isogi_core.frame.tiles import Stopwatch, Tiles
@@ -34,6 +42,8 @@ from isogi_core.plan.isovalue_levels import levels_around
 from isogi_core.plan.variants import OUTER, WALLS_SIDE, Side, scene_of_side, sides_of, surfaces_of
 from isogi_core.prepared.prepared_scene import PreparedScene
 
+Found = TypeVar("Found")
+
 SHOWN = 2
 """Number of isovalues of the sliding surface for which views of pinned surfaces are kept."""
 
@@ -41,6 +51,17 @@ HELD = 3 * SHOWN
 """Number of isovalues for which light is kept: for each that is shown, the two levels around it and
 the isovalue itself.
 """
+
+
+class SeenSide(NamedTuple):
+    """A ``side`` of a surface that a view shows: its ``layers``, the ``view`` of these as one tall
+    picture, and the ``renderer`` of its light.
+    """
+
+    side: Side
+    layers: SideLayers
+    view: View
+    renderer: SurfaceRenderer
 
 
 class PeelingRenderer:
@@ -75,19 +96,25 @@ class PeelingRenderer:
         Raises Cancelled, ViewError if the view asks for glow and nothing glows, and NoRoomError if
         the light of this view alone takes more than the budget.
         """
-        return self._outer.add_glow(self._draw(view, goal, tiles, watch), tiles, watch)
+        return self._outer.add_glow(self.draw(view, goal, tiles, watch), tiles, watch)
 
-    def _draw(self, view: View, goal: Goal, tiles: Tiles, watch: Stopwatch) -> ComposedFrame:
+    def draw(self, view: View, goal: Goal, tiles: Tiles, watch: Stopwatch) -> ComposedFrame:
         """Draw all sides that a ``view`` shows, and add them up. Raises Cancelled and
         NoRoomError.
         """
+        return self.in_room(lambda: self._draw_sides(view, goal, tiles, watch))
+
+    def in_room(self, work: Callable[[], Found]) -> Found:
+        """Return what ``work`` returns, which asks for renderers of sides, reads the light of one
+        isovalue, and checks the room of each side. Raises its errors, and NoRoomError.
+        """
         try:
-            return self._draw_sides(view, goal, tiles, watch)
+            return work()
         except NoRoomError:
             # Light of other isovalues may take the room: drop all, and read again the light of this
-            # view alone.
+            # work alone.
             self._let_go()
-            return self._draw_sides(view, goal, tiles, watch)
+            return work()
 
     def _draw_sides(self, view: View, goal: Goal, tiles: Tiles, watch: Stopwatch) -> ComposedFrame:
         """Draw and add up all sides, with the light of other isovalues in memory."""
@@ -97,7 +124,7 @@ class PeelingRenderer:
         # Shoot each side as a tall picture of its layers, and have its renderer draw it; walls are
         # one side, without a surface.
         for side, layers in peels.sides.items():
-            renderer = self._renderer(side, view.isovalue)
+            renderer = self.renderer_of(side, view.isovalue)
             if side == WALLS_SIDE:
                 shot = renderer.shot(view, peels.walls, goal, tiles, watch)
                 frame = renderer.draw_walls(shot)
@@ -105,7 +132,7 @@ class PeelingRenderer:
                 tall = self._view_of(side, view, layers.layers)
                 shot = renderer.shot(tall, layers.gbuffer, goal, tiles, watch)
                 frame = renderer.draw(shot)
-                self._check_room()
+                self.check_room()
             parts.append(Part(side, layers, frame, renderer.caches))
         # Add up all sides by the weights of their layers.
         with watch.stage("compose"):
@@ -117,7 +144,7 @@ class PeelingRenderer:
 
         Sides have no finer texels, whatever the ``prices``. Raises Cancelled and NoRoomError.
         """
-        frame = self._draw(view, goal, tiles, Stopwatch())
+        frame = self.draw(view, goal, tiles, Stopwatch())
         if not frame.refinable:
             return False
         # Walls that lag behind may take a step while sides still wait for light.
@@ -129,7 +156,7 @@ class PeelingRenderer:
         # The side with the largest known error takes the step, or else the next that has a step to
         # take.
         for part in sorted(waiting, key=error_of, reverse=True):
-            renderer = self._renderer(part.side, view.isovalue)
+            renderer = self.renderer_of(part.side, view.isovalue)
             if renderer.refine_frame(part.frame, goal, tiles, prices.of_present):
                 return True
         return False
@@ -178,7 +205,22 @@ class PeelingRenderer:
         """Return True if the peels of a ``view`` are kept."""
         return self._outer.kept.held((Peels, surface_key(view))) is not None
 
-    def _renderer(self, side: Side, shown: float) -> SurfaceRenderer:
+    def seen(self, view: View, tiles: Tiles) -> tuple[SeenSide, ...]:
+        """Return all sides of surfaces that a ``view`` shows, without the walls. Raises
+        Cancelled.
+        """
+        return tuple(
+            SeenSide(
+                side,
+                layers,
+                self._view_of(side, view, layers.layers),
+                self.renderer_of(side, view.isovalue),
+            )
+            for side, layers in self._peels(view, tiles).sides.items()
+            if side != WALLS_SIDE
+        )
+
+    def renderer_of(self, side: Side, shown: float) -> SurfaceRenderer:
         """Return the renderer of a ``side``, or of WALLS_SIDE, while the surface that slides
         shows the isovalue ``shown``.
         """
@@ -227,7 +269,7 @@ class PeelingRenderer:
             prepared = self._inner.beside(scene)
         return Caches(prepared, self._caches.store, self._caches.budget, makes=False)
 
-    def _check_room(self) -> None:
+    def check_room(self) -> None:
         """Raise NoRoomError if the light of all other sides takes more than the budget."""
         with self._lock:
             taken = sum(each.nbytes for each in self._held.values())
@@ -276,7 +318,7 @@ class PeelingRenderer:
         sides = {}
         for side in sides_of(self._scene):
             if len(hits.rows_of(side)):
-                prepared = self._renderer(side, view.isovalue).prepared
+                prepared = self.renderer_of(side, view.isovalue).prepared
                 surface = prepared.surface(surfaces[side.number].isovalue)
                 sides[side] = side_layers(hits, side, first, surface)
         walls, seen = walls_of(hits, first)

@@ -16,6 +16,8 @@ from isogi_core.files.scene_file import Settings as SceneSettings
 from isogi_core.files.spelling import shortest
 from isogi_core.frame.card.blocks import raw_scale
 from isogi_core.frame.card.coding import Coding, coding_for
+from isogi_core.frame.card.obstacles import Obstacle
+from isogi_core.frame.features import SHINE
 from isogi_core.frame.rays.control_pixels import TotalError
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import View
@@ -55,6 +57,15 @@ ROUNDING_SHARES = (0.2, 0.4, 0.8, 1.6, 3.2)
 """Rounding errors that are tried, relative to the target; the first one whose files are small
 enough is taken.
 """
+
+SIDES_NOT_PUBLISHED = Obstacle(
+    "several surfaces",
+    "A folder holds the light of one surface's outer side alone.",
+)
+SHINE_NOT_PUBLISHED = Obstacle(
+    SHINE.name, "It shines, and no error of shine is measured for pages."
+)
+"""Obstacles of published pages alone."""
 
 TAKEN = (
     *("isovalue", "azimuth", "elevation", "distance", "fov", "projection", "target"),
@@ -182,8 +193,14 @@ def refuse_obstacles(renderer: Renderer, view: View) -> None:
     """Raise ViewError if a card cannot draw the scene, and SceneError if the scene keeps no
     light in texels.
     """
-    renderer.prepared.scene.require_texels()
-    if found := card_obstacles(renderer.prepared, view, True):
+    scene = renderer.prepared.scene
+    scene.require_texels()
+    found = card_obstacles(renderer.prepared, view, True)
+    if scene.surfaces.several:
+        found.append(SIDES_NOT_PUBLISHED)
+    if SHINE.is_shown(scene, view):
+        found.append(SHINE_NOT_PUBLISHED)
+    if found:
         reasons = " ".join(each.why for each in found)
         raise ViewError(
             f"A page without a server cannot draw this scene: {reasons} Publish pictures of it."

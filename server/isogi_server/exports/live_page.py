@@ -176,7 +176,11 @@ def document_of(renderer: Renderer, params: FrameParams, view: View, span: Span)
         CardSlab(first=a, last=b, href=slab_name(a, b))
         for a, b in renderer.prepared.voxel_codes.slabs
     ]
-    parts: dict[str, BaseModel] = {"volume": card.volume.model_copy(update={"slabs": slabs})}
+    # Pages of scenes that show shine are refused, and no slider of a page makes others shine.
+    parts: dict[str, BaseModel | None] = {
+        "volume": card.volume.model_copy(update={"slabs": slabs}),
+        "shine": None,
+    }
     if colours := card.colours:
         named = [
             each.model_copy(update={"href": slab_name(each.first, each.last, "colours")})

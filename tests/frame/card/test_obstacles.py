@@ -10,6 +10,8 @@ from isogi_core.plan.scene import Scene
 from tests.frame.conftest import SKY
 from tests.loaded import load_scene
 
+LAMP = {"type": "directional", "azimuth": -30, "elevation": 40, "irradiance": 2.0}
+
 
 def view_of(scene: Scene, **settings: Any) -> View:
     """A view of a scene."""
@@ -24,8 +26,9 @@ def view_of(scene: Scene, **settings: Any) -> View:
         ({"room": "cornell"}, ["rooms"]),
         ({"material": "glass"}, ["glass"]),
         ({"material": "subsurface", "mean_free_path": 2.0}, ["subsurface"]),
-        ({"surfaces": [{"isovalue": 0.1, "clear": 0.5}]}, ["several surfaces"]),
-        ({"shine": {"kind": "plastic"}}, ["shine"]),
+        ({"surfaces": [{"isovalue": 0.1, "clear": 0.5}]}, []),
+        ({"shine": {"kind": "plastic"}}, []),
+        ({"lights": [SKY, LAMP], "shine": {"kind": "plastic"}}, ["shine"]),
         ({"glow": [{"sphere": [40, 40, 40, 5]}]}, ["glow"]),
         ({"volumes": [{"use": "colour", "of": "gradient"}]}, []),
         ({"room": "cornell", "shine": {"kind": "metal"}}, ["rooms", "shine"]),

@@ -16,6 +16,7 @@ import pytest
 from websockets.asyncio.client import connect
 
 from isogi_core.frame import surface_renderer
+from isogi_core.frame.card.blurred_surroundings import blurred_surroundings
 from isogi_core.frame.card.colour_codes import ColourCodes
 from isogi_core.frame.gbuffer import GBuffer, trace
 from isogi_core.model.view import View
@@ -320,6 +321,7 @@ def test_chunks_of_a_large_view_are_looked_at_by_few_rays(
         ("volume/4-4", 404, "There are no layers"),
         ("volume/all", 404, "There are no layers 'all'"),
         ("colours/0-1", 404, "no colours by data"),
+        ("surroundings", 404, "mirrors no surroundings"),
         ("volume/0-4?azimuth=3", 422, "no parameter 'azimuth'"),
         ("transfer/0.0.0?yaw=3", 422, "no parameter 'yaw'"),
         ("light/0.0.0?yaw=3&light=1,0,0,0", 422, "given twice"),
@@ -383,11 +385,39 @@ async def test_a_stream_sends_no_pictures_that_nobody_wants(client: httpx.Client
 def test_the_addresses_are_documented(client: httpx.Client) -> None:
     paths = client.get("/openapi.json").json()["paths"]
     parts = ("/volume/{layers}", "/colours/{layers}", "/light/{chunks}", "/transfer/{chunks}")
+    parts = (*parts, "/surroundings")
     for name in ("", "/chunks", *parts):
         operation = paths[f"/v1/scenes/{{scene}}/card{name}"]["get"]
         assert operation["summary"] and {"200", "403", "404", "422", "429", "503"} <= set(
             operation["responses"]
         )
+
+
+def test_surroundings_come_from_the_address_in_the_document(
+    scene_file: Path, tmp_path: Path
+) -> None:
+    """Of a scene that shines, and for ever at their version."""
+    path = scene_file.with_name("shiny.toml")
+    path.write_text(scene_file.read_text() + '\n[shine]\nkind = "metal"\nroughness = 0.4\n')
+    scene = load_scene(path)
+    app = create_app(EngineWithoutWorkers([scene], str(tmp_path)), Settings())
+    with live(app) as url, httpx.Client(base_url=url, timeout=300) as found:
+        answer = found.get(f"/v1/scenes/{scene.id}/card").json()
+        assert answer["drawable"], answer["reason"]
+        shine = answer["scene"]["shine"]
+        assert (shine["kind"], shine["roughness"], shine["strength"]) == ("metal", 0.4, 1.0)
+        assert shine["albedo"] == pytest.approx(scene.surfaces.albedo)
+        facts = shine["surroundings"]
+        parts = found.get(f"/v1/scenes/{scene.id}/{facts['href']}")
+        assert parts.headers["cache-control"] == FOR_EVER
+        halves = np.frombuffer(parts.content, "<f2")
+        sizes = [6 * (facts["rows"] >> level) ** 2 for level in range(facts["levels"])]
+        assert (2 * len(halves), len(halves)) == (facts["bytes"], sum(sizes))
+        levels = blurred_surroundings(scene.lighting.environment).levels
+        assert np.array_equal(halves[: sizes[0]], levels[0].ravel())
+        assert np.array_equal(halves[-sizes[-1] :], levels[-1].ravel())
+        dull = found.get(f"/v1/scenes/{scene.id}/card", params={"strength": 0}).json()["scene"]
+        assert dull["shine"] == {**shine, "strength": 0.0}, "any lobe mirrors the same"
 
 
 def test_colours_come_from_the_addresses_in_the_document(scene_file: Path, tmp_path: Path) -> None:
@@ -437,6 +467,7 @@ def test_a_server_may_keep_its_voxels(
         )
         assert (facts["scene"] is not None) == handed
         assert found.get(f"{CARD}/colours/0-1").status_code == (404 if handed else 403)
+        assert found.get(f"{CARD}/surroundings").status_code == (404 if handed else 403)
         for path in ("volume/0-1", "light/0.0.0", "transfer/0.0.0"):
             answer = found.get(f"{CARD}/{path}")
             assert answer.status_code == (200 if handed else 403)

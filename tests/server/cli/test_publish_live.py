@@ -158,3 +158,13 @@ def test_a_limit_takes_bits_from_the_light(
     assert "allow --megabytes" in said and (
         "--target-error" in said or "of these isovalues" in said
     )
+
+
+def test_several_surfaces_are_not_published(
+    told: Told, store: Path, small_scene: Path, tmp_path: Path
+) -> None:
+    scene = small_scene.with_name("shells.toml")
+    scene.write_text(f"{small_scene.read_text()}\n[[surfaces]]\nisovalue = 0.35\nclear = 0.6\n")
+    words = ("publish", scene, "-o", tmp_path / "page", "--interactive", "--store", store)
+    said = told(*words, "--isovalue", "0.4:0.6", status=2)
+    assert "outer side alone" in said and "Publish pictures" in said

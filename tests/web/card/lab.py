@@ -18,8 +18,9 @@ from playwright.sync_api import Browser, Page
 
 from isogi_core.bake.noise import Goal
 from isogi_core.frame.card.blocks import fold_chunks, transfer_chunks
+from isogi_core.frame.card.blurred_surroundings import blurred_surroundings
 from isogi_core.frame.card.colour_codes import ColourCodes
-from isogi_core.frame.card.looks import seen_chunks
+from isogi_core.frame.card.sides import known_light_of_sides, look_at_sides
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import Camera, Quaternion, View, quaternion_from_angles
@@ -181,9 +182,11 @@ class CardScene:
         ]
         if colours := ColourCodes.of(renderer.prepared.scene):
             slabs += [colours.layers(a, b).tobytes() for a, b in colours.slabs]
+        around = blurred_surroundings(renderer.prepared.scene.lighting.environment)
         scene = card_scene(renderer, view, ()).model_dump(mode="json")
         if not lobes:
             scene["light"]["lobes"] = []
+        slabs += [around.tobytes()] * bool(scene["shine"])
         document = lab.put("document", scene)
         names = [lab.put(f"slab{i}", slab) for i, slab in enumerate(slabs)]
         given = {"files": {"document": document, "slabs": names}, "size": size}
@@ -196,10 +199,14 @@ class CardScene:
         """
         tiles = self.renderer.tiles
         sent = 0
-        seen = [each.at for each in seen_chunks(self.renderer, view, Goal.checked(target), tiles)]
+        goal = Goal.checked(target)
+        seen = [each.at for each in look_at_sides(self.renderer, view, goal, tiles).seen]
         for first in range(0, len(seen), 64):
             some = seen[first : first + 64]
-            answers = [fold_chunks(self.renderer, view, some, Goal.checked(target), tiles)]
+            if self.renderer.peeling:
+                answers = [known_light_of_sides(self.renderer, view, some, goal, tiles)]
+            else:
+                answers = [fold_chunks(self.renderer, view, some, goal, tiles)]
             if raw:
                 answers += [transfer_chunks(self.renderer, some, Goal.checked(target), tiles)]
             for answer in answers:

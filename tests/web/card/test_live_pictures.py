@@ -69,15 +69,20 @@ lattice = 0.5
 target_error = 0.1
 lights = [{ type = "constant", radiance = 0.5 }, { type = "sky" }]
 """
+PINNED = "[[surfaces]]\nisovalue = 0.25\nalbedo = [0.3, 0.5, 0.8]\nclear = 0.6\n"
 COLOUR = '[[volumes]]\nuse = "colour"\nof = "gradient"\nmap = "coolwarm"\n'
+SHINE = '[shine]\nkind = "plastic"\nroughness = 0.2\n'
+MORE = {"plain": "", "coloured": COLOUR, "in a shell": PINNED, "shiny": SHINE}
 
 
 @pytest.fixture(scope="module")
 def server(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[str]:
-    """A server of two balls that touch, in one colour or in colours of their gradient."""
-    folder = tmp_path_factory.mktemp(request.param)
+    """A server of two balls that touch, in one colour, in colours of their gradient, in a clear
+    shell, or shiny.
+    """
+    folder = tmp_path_factory.mktemp(request.param.replace(" ", "-"))
     z, y, x = np.mgrid[:16, :20, :24]
     balls = [
         np.exp(-(((x - cx) / 5) ** 2) - ((y - 9.5) / 5) ** 2 - ((z - 7.5) / 4) ** 2)
@@ -85,7 +90,7 @@ def server(
     ]
     nrrd.write(str(folder / "balls.nrrd"), sum(balls).astype(np.float32), index_order="C")
     scene = folder / "balls.toml"
-    scene.write_text(BALLS + (COLOUR if request.param == "coloured" else ""))
+    scene.write_text(BALLS + MORE[request.param])
     with serving(scene, folder / "store") as url:
         yield url
 
@@ -152,7 +157,11 @@ def share_that_differs(found: dict[str, Any]) -> tuple[float, int]:
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("server", "shading"),
-    [*(("plain", shading) for shading in SHADINGS), ("coloured", "gi"), ("coloured", "phong")],
+    [
+        *(("plain", shading) for shading in SHADINGS),
+        *(("coloured", shading) for shading in ("gi", "phong")),
+        *(("in a shell", shading) for shading in ("gi", "lambert_shadow")),
+    ],
     indirect=["server"],
 )
 def test_a_resting_card_shows_what_the_server_does(
@@ -179,8 +188,15 @@ WRONG = {
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("server", ["plain"], indirect=True)
-@pytest.mark.parametrize(("shading", "wrong"), [("gi", "light"), ("lambert_fog", "local models")])
+@pytest.mark.parametrize(
+    ("server", "shading", "wrong"),
+    [
+        ("plain", "gi", "light"),
+        ("plain", "lambert_fog", "local models"),
+        ("in a shell", "gi", "light"),
+    ],
+    indirect=["server"],
+)
 def test_the_page_says_that_its_card_draws_wrongly(
     browser: Browser, server: str, shading: str, wrong: str
 ) -> None:
@@ -192,3 +208,15 @@ def test_the_page_says_that_its_card_draws_wrongly(
         page.keyboard.press("ArrowRight")
         wait_final(page)
         expect(page.locator("#live:not([hidden], [data-faded])")).to_have_count(0)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("server", ["shiny"], indirect=True)
+@pytest.mark.parametrize("wrong", ["", "light"])
+def test_a_shiny_view_is_compared_as_well(browser: Browser, server: str, wrong: str) -> None:
+    with visited(browser, f"{server}/?draw=card", wrong) as page:
+        found = reading(page)
+        assert found["shading"] == "gi"
+        page.wait_for_timeout(300)
+        told = any(DIFFERENT in each for each in page.evaluate("window.notices"))
+        assert told == bool(wrong), share_that_differs(found)

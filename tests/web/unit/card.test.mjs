@@ -2,12 +2,14 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { halfOf, ones, readBlocks } from "../../../web/isogi_web/card/blocks.js";
 import { EMPTY, brickShape, findRanges, markCells } from "../../../web/isogi_web/card/cells.js";
-import { codeOf, facesOf } from "../../../web/isogi_web/card/document.js";
+import { codeOf, facesOf, slabsOf } from "../../../web/isogi_web/card/document.js";
 import { bandRotations, turned } from "../../../web/isogi_web/card/harmonics.js";
 import { quadricOf, rotationMatrix, turnLight } from "../../../web/isogi_web/card/light.js";
 import { SAMPLES, discOf, jitterOf } from "../../../web/isogi_web/card/picture.js";
 import { joined } from "../../../web/isogi_web/card/programs.js";
 import { pinhole, raysOf, windowOf } from "../../../web/isogi_web/card/rays.js";
+import { surroundingsIn } from "../../../web/isogi_web/card/shine.js";
+import { codesOf, joinMaps, uniformsOf } from "../../../web/isogi_web/card/surfaces.js";
 import { fromAngles, turnVector } from "../../../web/isogi_web/view/rotation.js";
 import { close } from "./fixtures.mjs";
 
@@ -30,6 +32,14 @@ test("an isovalue is compared as kernels compare it", () => {
   assert.equal(codeOf(document, 80), 70);
   assert.equal(codeOf({ ...document, values: { offset: 256, scale: -256 } }, 80), 176);
   assert.equal(codeOf(document, 10.1), Math.fround(256 * Math.fround((10.1 - 10) / 256)));
+});
+
+test("surroundings come after voxels and colours", () => {
+  const [volume, colours] = ["a", "b"].map((href) => ({ slabs: [{ href }] })), shine = { surroundings: { href: "c" } };
+  assert.deepEqual(slabsOf({ volume, colours, shine }), ["a", "b", "c"]);
+  assert.deepEqual(slabsOf({ volume, colours: null, shine: null }), ["a"]);
+  assert.deepEqual([...surroundingsIn({ shine }, [new ArrayBuffer(2), new Uint16Array([7, 8]).buffer])], [7, 8]);
+  assert.equal(surroundingsIn({ shine: null }, [new ArrayBuffer(2)]).length, 0);
 });
 
 /** Cells of a volume with corners on both sides, or with some without value, cell by cell. */
@@ -253,4 +263,34 @@ test("transfer in few bits becomes normals without light, and halves", () => {
     assert.equal(numberOf(raw.layers[4 * count * (k >> 2) + 4 * i + (k & 3)]), numbers[k][i]);
   }
   assert.equal(raw.layers.length, 4 * count * 2);
+});
+
+test("maps of several surfaces are joined, and each finds its own cells", () => {
+  const size = [13, 9, 10];
+  const random = numbers(7);
+  const voxels = Float32Array.from({ length: size[0] * size[1] * size[2] }, () => random.next().value);
+  const ranges = findRanges(voxels, size);
+  const maps = [0.9, 0.98, 2].map((isovalue) => markCells(voxels, size, ranges, isovalue));
+  const joinedMap = joinMaps(maps);
+  assert.equal(joinedMap.marked, maps[0].marked + maps[1].marked);
+  maps.forEach(({ tops, cells }, k) => tops.forEach((top, b) => {
+    const other = joinedMap.tops[k * tops.length + b];
+    if (top >= EMPTY) assert.equal(other, top);
+    else assert.deepEqual([...joinedMap.cells.subarray(2 * other, 2 * other + 2)], [...cells.subarray(2 * top, 2 * top + 2)]);
+  }));
+});
+
+test("a surface at the isovalue of an earlier one is not seen", () => {
+  const side = { sky: [[1], [2], [3]], least: [0, 0, 0] };
+  const surface = (isovalue, clear) => ({ isovalue, clear, albedo: [1, 1, 1], outer: side, inner: side });
+  const document = {
+    values: { offset: 10, scale: 2 }, volume: { base: 0, gain: 1 }, plan: { ratios: true },
+    surfaces: [surface(null, 0), surface(20, 0.5), surface(30, 0.25)],
+  };
+  const [tops, bricks] = [{ size: [2, 3, 12] }, { size: [2, 3, 24] }];
+  const at = (shown) => uniformsOf(document, shown, { tops, bricks });
+  assert.deepEqual([codesOf(document, 50), at(50).clears], [[20, 5, 10], [0, 0.5, 0.25]]);
+  assert.deepEqual(at(30).clears, [0, 0.5, 1]);
+  assert.deepEqual([at(50).map_layers, at(50).light_layers, at(50).skies.length], [4, 4, 162]);
+  assert.deepEqual(uniformsOf({ ...document, surfaces: null }, 50, { tops, bricks }), {});
 });

@@ -7,7 +7,7 @@ import { FakeClock, SCENE, knobs, settled } from "./fixtures.mjs";
 const SIZE = { width: 80, height: 60 };
 const LIT = { provisional: false, coverage: { provisional: 0 } };
 const CHUNKS = [{ at: "0.0.1", version: "1a", final: true }];
-const DOCUMENT = { grounds: { dark: [0, 0, 0], light: [1, 1, 1] }, volume: { slabs: [] }, target: 0.016, expected: 0.012 };
+const DOCUMENT = { plan: { turns: true }, surfaces: null, grounds: { dark: [0, 0, 0], light: [1, 1, 1] }, volume: { slabs: [] }, target: 0.016, expected: 0.012 };
 
 /** A disc with a gentle slope on a plain ground, rows from the top, and `change(level, x, y)` of it. */
 function disc(change = (level) => level) {
@@ -51,6 +51,23 @@ test("what differs is counted, in any channel", () => {
   assert.ok(part > 0.1 && part < 0.3, String(part));
 });
 
+test("noise does not count where neighbours are averaged, and what is wrong does", () => {
+  const noisy = (level, x, y) => level * ((x + y) % 2 ? 1.3 : 0.7);
+  const averaged = (card) => shareThatDiffers(flipped(card), disc(), SIZE, 0.02, 2);
+  assert.ok(share(disc(noisy)) > 0.9);
+  assert.ok(averaged(disc(noisy)) < 0.01);
+  assert.ok(averaged(disc((level) => 1.4 * level)) > 0.9);
+});
+
+test("means that reach an edge are left out", () => {
+  const size = { width: 120, height: 90 };
+  const levelAt = (x, step) => 40 + x + (x % 12 < 3 ? step : 0);
+  const striped = (step) => Uint8Array.from({ length: 4 * size.width * size.height }, (_, i) => levelAt(Math.floor(i / 4) % size.width, step));
+  const averaged = (around) => shareThatDiffers(striped(80), striped(40), size, 0.02, around);
+  assert.ok(averaged(0) > 0.05, "pixels in the middle of a stripe differ");
+  assert.equal(averaged(2), 0);
+});
+
 test("edges and the ground are left out", () => {
   const striped = disc((level, x) => (x % 8 < 2 ? 20 : level));
   assert.ok(share(disc((level, x) => ([7, 0, 1, 2].includes(x % 8) ? 250 : level)), striped) <= 0, "all that differs is at an edge");
@@ -58,6 +75,7 @@ test("edges and the ground are left out", () => {
 });
 
 let clock;
+let document;
 let canvas;
 let card;
 let said;
@@ -112,7 +130,8 @@ beforeEach(async () => {
     getContext() { return { drawImage() {}, getImageData: () => ({ data: image.data }) }; }
   };
   Object.defineProperty(globalThis, "performance", { value: clock, configurable: true });
-  const source = { document: async () => ({ scene: DOCUMENT }), chunks: async () => CHUNKS };
+  document = DOCUMENT;
+  const source = { document: async () => ({ scene: document }), bytes: async () => new ArrayBuffer(4), chunks: async () => CHUNKS };
   const hooks = { open: () => card, size: () => SIZE, picture: () => image, drawn() {}, lost: () => said.push("lost"), refused: (reason) => said.push(reason) };
   live = new Live(canvas, SCENE, source, hooks, null);
   live.rest(knobs({}), LIT);
@@ -135,6 +154,17 @@ test("a card that draws as the server does goes on, and is checked once", async 
   await turn(knobs({ azimuth: 20 }));
   assert.deepEqual([card.reads, said, live.draws(knobs({}))], [1, [], true]);
   assert.deepEqual([live.shows, clock.waits], [false, []], "nobody sees it, and nothing goes on");
+});
+
+test("shine is checked at the first rest that shows it", async () => {
+  document = { ...DOCUMENT, shine: { kind: "plastic", roughness: 0.3, strength: 1, surroundings: { href: "card/surroundings" } } };
+  live.rest(knobs({ environment: "studio" }), LIT);
+  await settled();
+  const values = (strength) => knobs({ environment: "studio", strength, azimuth: 10 * strength });
+  await turn(values(0));
+  await turn(values(0.5));
+  await turn(values(1));
+  assert.deepEqual([card.reads, said], [2, []]);
 });
 
 test("a card that draws another picture leaves all to the server, which is said", async () => {

@@ -86,6 +86,29 @@ test("light that converges is brought ever more rarely, and when it is final", a
   assert.deepEqual(asked.map(({ chunks }) => chunks), [["0.0.1-z9"]]);
 });
 
+test("light that converges is brought at once at rest on another isovalue", async () => {
+  const chunks = (version) => [chunk("0.0.1", { version, final: false })];
+  feed.bring(chunks("a1"), knobs({ isovalue: 70 }), false);
+  await answer();
+  for (const isovalue of [71, 72]) {
+    feed.bring(chunks(`m${isovalue}`), knobs({ isovalue }), true);
+    await settled();
+  }
+  assert.deepEqual(asked, [], "while it slides, the light that is here is shown");
+  feed.bring(chunks("b2"), knobs({ isovalue: 72 }), false);
+  assert.deepEqual(asked.map(({ chunks: names }) => names), [["0.0.1-b2"]]);
+  await answer();
+  feed.bring(chunks("c3"), knobs({ isovalue: 72 }), false);
+  assert.deepEqual(asked, [], "then more rarely again");
+});
+
+test("an answer that comes late defers no light of the isovalue at rest", async () => {
+  feed.bring([chunk("0.0.1", { version: "a1", final: false })], knobs({ isovalue: 71 }), true);
+  feed.bring([chunk("0.0.1", { version: "b2", final: false })], knobs({ isovalue: 72 }), false);
+  await answer();
+  assert.deepEqual(asked.map(({ chunks: names }) => names), [["0.0.1-b2"]]);
+});
+
 test("the newest list counts", async () => {
   feed.bring([chunk("0.0.1")], knobs(), true);
   feed.bring([chunk("0.0.2")], knobs(), true);

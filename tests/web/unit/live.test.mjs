@@ -2,11 +2,12 @@ import assert from "node:assert/strict";
 import { beforeEach, test } from "node:test";
 import { Refusal } from "../../../web/isogi_web/card/device.js";
 import { Live } from "../../../web/isogi_web/live/live.js";
-import { albedoOf, cardView, chunksQuery, documentQuery, lightQuery, viewNear } from "../../../web/isogi_web/live/view.js";
+import { albedoOf, cardView, chunksQuery, documentQuery, lightQuery, turnOf, viewNear } from "../../../web/isogi_web/live/view.js";
 import { troubleOf } from "../../../web/isogi_web/net/trouble.js";
-import { PAINTED, SCENE, FakeClock, knobs, settled } from "./fixtures.mjs";
+import { fromAngles } from "../../../web/isogi_web/view/rotation.js";
+import { PAINTED, POLISHED, SCENE, FakeClock, knobs, settled } from "./fixtures.mjs";
 
-const DOCUMENT = { grounds: { dark: [0, 0, 0], light: [1, 1, 1] }, volume: { slabs: [{ href: "card/volume/0-2" }, { href: "card/volume/2-4" }] } };
+const DOCUMENT = { plan: { turns: true }, surfaces: null, grounds: { dark: [0, 0, 0], light: [1, 1, 1] }, volume: { slabs: [{ href: "card/volume/0-2" }, { href: "card/volume/2-4" }] } };
 const [A, B] = [knobs({ azimuth: 10 }), knobs({ azimuth: 20 })];
 const LIT = { coverage: { provisional: 0 } };
 
@@ -374,8 +375,43 @@ test("chunks and light are asked for without what does not count", () => {
   assert.deepEqual([chunks.width, chunks.height, chunks.yaw, chunks.environment], [160, 80, 20, "studio"]);
   for (const name of ["f", "overlay", "background", "exposure"]) assert.equal(name in chunks, false, name);
   const turn = { yaw: 20, pitch: 0, roll: 0 };
-  assert.deepEqual(lightQuery(SCENE, values, turn), { environment: "studio", ...turn });
-  assert.deepEqual(lightQuery(SCENE, values, null), { environment: "studio" });
+  assert.deepEqual(lightQuery(SCENE, DOCUMENT, values, turn), { environment: "studio", ...turn });
+  assert.deepEqual(lightQuery(SCENE, DOCUMENT, values, null), { environment: "studio" });
+});
+
+test("light of pinned surfaces is asked for at the isovalue that is shown", () => {
+  const turn = { yaw: 0, pitch: 0, roll: 0 };
+  const document = { ...DOCUMENT, surfaces: [{ isovalue: null }, { isovalue: 50 }] };
+  assert.deepEqual(lightQuery(SCENE, document, knobs({ isovalue: 80 }), turn), { isovalue: 80, ...turn });
+});
+
+test("light that is baked for each turn is another document at each, and lies still", () => {
+  const scene = { ...SCENE, turn_step: 5 };
+  const values = knobs({ yaw: 22, pitch: 0, roll: 0 });
+  const document = { ...DOCUMENT, plan: { turns: false } };
+  const turn = { yaw: 20, pitch: 0, roll: 0 };
+  assert.deepEqual(documentQuery(scene, values), { ...turn, shading: "gi" });
+  assert.deepEqual(lightQuery(scene, document, values, turnOf(scene, document, values)), turn);
+  assert.deepEqual(cardView(scene, document, values).light, [1, 0, 0, 0]);
+  assert.deepEqual([viewNear(values, scene).yaw, viewNear(values).yaw], [22, 0]);
+});
+
+test("hidden surfaces leave light that the card turns, in the steps of the server's pictures", () => {
+  const scene = { ...SCENE, turn_step: 5, surfaces: [{ isovalue: 50 }] };
+  const values = knobs({ surfaces: "off", yaw: 22, pitch: 0, roll: 0 });
+  const turn = turnOf(scene, DOCUMENT, values);
+  assert.deepEqual(turn, { yaw: 20, pitch: 0, roll: 0 });
+  assert.deepEqual(cardView(scene, DOCUMENT, values).light, fromAngles(turn));
+  assert.deepEqual(lightQuery(scene, DOCUMENT, values, turn), { surfaces: "off", ...turn });
+});
+
+test("the lobe of a view is that of its knobs, and asks for no other document", () => {
+  const document = { ...DOCUMENT, shine: { kind: "plastic", roughness: 0.3, strength: 1 } };
+  const asked = knobs({ shine: "metal", roughness: 0.1, strength: 0.5 });
+  assert.deepEqual(cardView(POLISHED, document, asked).shine, { kind: "metal", roughness: 0.1, strength: 0.5 });
+  assert.deepEqual(cardView(POLISHED, document, knobs({})).shine, { kind: "plastic", roughness: 0.3, strength: 1 });
+  assert.equal("shine" in cardView(POLISHED, DOCUMENT, asked), false);
+  assert.deepEqual(documentQuery(POLISHED, asked), documentQuery(POLISHED, knobs({})));
 });
 
 test("planes along no axis are a window of the card", () => {
@@ -406,4 +442,49 @@ test("the error of the card's pictures is predicted once all their light is here
   assert.ok(Math.abs(live.predicted - 0.05) < 1e-12);
   live.rest(A, LIT, [{ ...chunks[0], final: false }, chunks[1]]);
   assert.equal(live.predicted, null, "one converges");
+});
+
+test("no error is predicted of pinned surfaces' light from another isovalue", async () => {
+  const surfaces = [{ isovalue: null }, { isovalue: 50 }];
+  const document = { drawable: true, reason: "", scene: { ...DOCUMENT, surfaces, target: 0.03, expected: 0.04 } };
+  await ready({ document });
+  card.drawing = { texels: { chunks: new Map([["0.0.1", { version: "1a" }]]) } };
+  live.rest(A, LIT, [{ at: "0.0.1", version: "1a", final: true }]);
+  assert.ok(Math.abs(live.predicted - 0.05) < 1e-12);
+  live.move(true);
+  live.show(knobs({ azimuth: 10, isovalue: 80 }));
+  assert.equal(live.predicted, null);
+});
+
+test("a list for an isovalue that a view slid past is not taken at rest", async () => {
+  const surfaces = [{ isovalue: null }, { isovalue: 50 }];
+  await ready({ document: { drawable: true, reason: "", scene: { ...DOCUMENT, surfaces, target: 0.03, expected: 0.04 } } });
+  card.drawing = { texels: { chunks: new Map([["0.0.1", { version: "1a" }]]) } };
+  listed = [{ at: "0.0.1", version: "9z", final: true }];
+  await clock.pass(1001);
+  live.move(true);
+  live.show(knobs({ isovalue: 80 }));
+  live.move(false);
+  live.rest(knobs({ isovalue: 90 }), LIT, [{ at: "0.0.1", version: "1a", final: true }]);
+  await settled();
+  assert.deepEqual(kinds().filter((kind) => kind === "chunks").length, 2, "one came late");
+  assert.ok(live.predicted !== null, "and did not replace that of the picture");
+});
+
+test("a shiny view has no predicted error, and is compared with a final picture", async () => {
+  const shine = { surroundings: { href: "card/surroundings" } };
+  const document = { drawable: true, reason: "", scene: { ...DOCUMENT, shine, target: 0.03, expected: 0.04 } };
+  await ready({ document });
+  assert.deepEqual(asked.filter(([kind]) => kind === "bytes").at(-1), ["bytes", "card/surroundings"]);
+  card.drawing = { texels: { chunks: new Map([["0.0.1", { version: "1a" }]]) } };
+  const chunks = [{ at: "0.0.1", version: "1a", final: true }];
+  live.rest(A, { ...LIT, provisional: true }, chunks);
+  await clock.pass(2000);
+  assert.deepEqual([live.shines, live.predicted, card.drawn.length], [true, null, 0], "not with a picture of single rays");
+  live.rest(A, { ...LIT, provisional: false }, chunks);
+  await clock.pass(2000);
+  assert.equal(card.drawn.length, 1);
+  assert.equal(live.shines, true);
+  live.show(knobs({ shading: "phong" }));
+  assert.deepEqual([live.shines, live.predicted], [false, 0], "local models do not shine");
 });

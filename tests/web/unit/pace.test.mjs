@@ -6,7 +6,7 @@ import { Live } from "../../../web/isogi_web/live/live.js";
 import { FakeClock, SCENE, knobs, settled } from "./fixtures.mjs";
 
 const SIZE = { width: 1000, height: 800 };
-const DOCUMENT = { grounds: { dark: [0, 0, 0], light: [1, 1, 1] }, volume: { slabs: [] } };
+const DOCUMENT = { plan: { turns: true }, surfaces: null, grounds: { dark: [0, 0, 0], light: [1, 1, 1] }, volume: { slabs: [] } };
 const LIT = { coverage: { provisional: 0 } };
 const EVERY_MS = 4; // between two timers of a browser at least, and so what a reading is unsure by
 

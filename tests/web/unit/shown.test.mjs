@@ -132,6 +132,15 @@ test("a predicted error is that of the view that the controls ask for", () => {
   assert.deepEqual([shown.predicted, shown.facts], [null, facts()], "the server's picture has an error that was measured");
 });
 
+test("a picture that shows shine by few rays is that of its view alone", () => {
+  shown.cover({ of: shown.asked, predicted: null, shines: true });
+  assert.deepEqual([shown.shines, shown.predicted], [true, null]);
+  shown.ask(B);
+  assert.equal(shown.shines, false);
+  shown.cover({ of: shown.asked, predicted: 0.05, shines: false });
+  assert.deepEqual([shown.shines, shown.predicted], [false, 0.05]);
+});
+
 test("what was measured of a picture is not said of the card's over it", () => {
   shown.show(picture(shown.asked, { facts: FINAL }));
   shown.ask(B);

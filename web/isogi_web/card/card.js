@@ -28,6 +28,7 @@ import { turnLight } from "./light.js";
 import { Pace } from "./pace.js";
 import { SAMPLES } from "./picture.js";
 import { readShader } from "./programs.js";
+import { Shine, surroundingsIn } from "./shine.js";
 import { Texels } from "./texels.js";
 import { Volume, joinSlabs } from "./volume.js";
 
@@ -94,8 +95,8 @@ export class Card {
   /**
    * Load a scene. The scene before is drawn until the new one is ready.
    * @param {CardDocument} document `scene` of a drawable one, of GET …/card
-   * @param {ArrayBuffer[]|Promise<ArrayBuffer[]>} slabs of the volume and its colours, in the
-   *   order of `slabsOf`; programs compile while slabs arrive
+   * @param {ArrayBuffer[]|Promise<ArrayBuffer[]>} slabs of the volume, its colours and its
+   *   surroundings, in the order of `slabsOf`; programs compile while slabs arrive
    * @throws {import("./device.js").Refusal} if the card's textures or memory are too small for the
    *   scene
    */
@@ -105,6 +106,7 @@ export class Card {
       document,
       all.then((some) => joinSlabs(document, some)),
       all.then((some) => joinColours(document, some)),
+      all.then((some) => surroundingsIn(document, some)),
     );
   }
 
@@ -241,21 +243,26 @@ export class Card {
    * @param {CardDocument} document
    * @param {Promise<import("./cells.js").Voxels>} codes of the volume
    * @param {Promise<Uint8Array>} places colours by data, empty if there are none
+   * @param {Promise<Uint16Array>} around surroundings that the surface mirrors, empty if it is
+   *   diffuse
    * @param {import("./texels.js").Run[]} [runs] texels that were received before the card was lost
    */
-  async #load(document, codes, places, runs) {
+  async #load(document, codes, places, around, runs) {
     const { gl } = this.device;
     const load = ++this.loads;
-    const [programs, voxels, painted] = await Promise.all([
+    const [programs, voxels, painted, mirrored] = await Promise.all([
       programsOf(gl, document, this.readShader),
       codes,
       places,
+      around,
     ]);
     if (load !== this.loads) return; // another load began meanwhile
     const volume = new Volume(this.device, document, voxels);
     const texels = new Texels(this.device, document, BUDGET, runs);
     const colours = new Colours(this.device, document, painted);
-    const drawing = new Drawing(this.device, document, { volume, colours, texels, programs });
+    const shine = new Shine(this.device, document, mirrored);
+    const parts = { volume, colours, shine, texels, programs };
+    const drawing = new Drawing(this.device, document, parts);
     // WebGL reports a lack of memory only by an error code after the allocations.
     if (gl.getError() === gl.OUT_OF_MEMORY) {
       drawing.release();
@@ -297,6 +304,7 @@ export class Card {
         drawing.document,
         Promise.resolve(drawing.volume.source),
         Promise.resolve(drawing.colours.source),
+        Promise.resolve(drawing.shine.source),
         drawing.texels.runs,
       );
     this.lost = false;

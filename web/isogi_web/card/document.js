@@ -33,12 +33,13 @@ export const isDrawn = (shading) => shading === "gi" || isLocal(shading);
 
 /**
  * Return the addresses of all slabs of a scene, in the order in which a card takes them: those of
- * the volume, then those of its colours.
+ * the volume, then those of its colours, then its surroundings if it mirrors them.
  * @param {CardDocument} document
  * @returns {string[]}
  */
-export function slabsOf({ volume, colours }) {
-  return [...volume.slabs, ...(colours?.slabs ?? [])].map(({ href }) => href);
+export function slabsOf({ volume, colours, shine }) {
+  const mirrored = shine ? [shine.surroundings] : [];
+  return [...volume.slabs, ...(colours?.slabs ?? []), ...mirrored].map(({ href }) => href);
 }
 
 /** Albedo of the brightest face of a window: PAPER in isogi_core/frame/framing.py. */

@@ -3,11 +3,12 @@
  * is lost with the WebGL context.
  */
 
-import { codeOf, facesOf } from "./document.js";
+import { facesOf } from "./document.js";
 import { turnLight } from "./light.js";
 import { Picture, discOf, jitterOf } from "./picture.js";
 import { compile, joined, run } from "./programs.js";
 import { depthsOf, raysOf, shoulderLight, windowOf } from "./rays.js";
+import { codesOf, definesOf, uniformsOf } from "./surfaces.js";
 import { isRaw } from "./texels.js";
 import { drawInto, fillTexture, makeTexture } from "./textures.js";
 
@@ -28,6 +29,8 @@ import { drawInto, fillTexture, makeTexture } from "./textures.js";
  * @property {readonly import("./rays.js").Plane[]} [window] planes that hide matter from the eye,
  *   in the world; 12 at most
  * @property {boolean} [marked] true if pixels whose texels have no light are hatched
+ * @property {import("./shine.js").Lobe} [shine] lobe of a surface that shines, by default that of
+ *   the document
  * @property {string} [shading] a local model that is drawn in place of the light of texels, which
  *   is `gi`
  */
@@ -54,11 +57,13 @@ export const keyOf = (light) => light.map((x) => x.toFixed(9)).join(" ");
  * @param {WebGL2RenderingContext} gl
  * @param {CardDocument} document
  * @param {(name: string) => Promise<string>} read returns the text of a shader's file
- * @returns {Promise<{lit: Program, fold: Program, filter: Program, show: Program, makeLocal:
- *   (shading: string) => Promise<Program>}>}
+ * @returns {Promise<{lit: Program, fold: Program, filter: Program, show: Program, energy:
+ *   Program|null, makeLocal: (shading: string) => Promise<Program>}>} `energy` is that of lobes, if
+ *   the scene shines
  * @throws {Error} if the card refuses a shader
  */
-export async function programsOf(gl, { grid, volume, colours, plan, light }, read) {
+export async function programsOf(gl, document, read) {
+  const { grid, volume, colours, plan, light } = document;
   // Constants of a scene are compiled into its programs, so that shaders skip what the scene lacks.
   const sampler = volume.type === "float32" ? "highp sampler3D" : "highp usampler3D";
   const common = {
@@ -75,26 +80,38 @@ export async function programsOf(gl, { grid, volume, colours, plan, light }, rea
     STRAIGHT: plan.straight,
     WHOLE: Number(plan.whole),
   };
-  const [view, fold, filter, show] = await Promise.all(
-    ["view", "fold", "filter", "show"].map((name) => joined(`${name}.frag.glsl`, read)),
+  const several = definesOf(document);
+  const [view, fold, filter, show, energy] = await Promise.all(
+    ["view", "fold", "filter", "show", "energy"].map((name) => joined(`${name}.frag.glsl`, read)),
   );
   const compiled = [
-    compile(gl, view, { ...common, SHADING: 1 }),
+    compile(gl, view, {
+      ...common,
+      ...several,
+      SHADING: 1,
+      SHINE: Number(Boolean(document.shine)),
+    }),
     compile(gl, fold, { ...common, ...numbers }),
     compile(gl, filter, common),
-    compile(gl, show),
+    compile(gl, show, several),
   ];
-  const [lit, folding, filtering, showing] = await Promise.all(compiled);
+  const [[lit, folding, filtering, showing], measuring] = await Promise.all([
+    Promise.all(compiled),
+    document.shine ? compile(gl, energy) : null,
+  ]);
   return {
     lit,
     fold: folding,
     filter: filtering,
     show: showing,
+    energy: measuring,
     makeLocal: (shading) =>
       compile(gl, view, {
         ...common,
+        ...several,
         SHADING: 0,
         LOBES: 0,
+        SHINE: 0,
         SHADOW: Number(shading.endsWith("_shadow")),
         FOG: Number(shading.endsWith("_fog")),
         HIGHLIGHT: Number(shading.startsWith("phong")),
@@ -110,14 +127,16 @@ export class Drawing {
    * @param {object} parts
    * @param {import("./volume.js").Volume} parts.volume
    * @param {import("./colours.js").Colours} parts.colours
+   * @param {import("./shine.js").Shine} parts.shine
    * @param {import("./texels.js").Texels} parts.texels
    * @param {Awaited<ReturnType<typeof programsOf>>} parts.programs
    */
-  constructor({ gl }, document, { volume, colours, texels, programs }) {
+  constructor({ gl }, document, { volume, colours, shine, texels, programs }) {
     this.gl = gl;
     this.document = document;
     this.volume = volume;
     this.colours = colours;
+    this.shine = shine;
     this.texels = texels;
     this.programs = programs;
     this.turned = makeTexture(gl, "RGBA32F", [document.plan.channels * document.plan.columns, 1]);
@@ -161,12 +180,13 @@ export class Drawing {
 
   /** Free the card's memory. */
   release() {
-    const { gl, volume, colours, texels, programs } = this;
+    const { gl, volume, colours, shine, texels, programs } = this;
     this.picture?.release();
-    const textures = [...volume.textures, ...colours.textures, ...texels.textures];
+    const parts = [volume, colours, shine, texels];
+    const textures = parts.flatMap((part) => part.textures);
     for (const { id } of [this.turned, ...textures]) gl.deleteTexture(id);
-    const { lit, fold, filter, show } = programs;
-    for (const program of [lit, fold, filter, show, ...this.local.values()])
+    const { lit, fold, filter, show, energy } = programs;
+    for (const program of [lit, fold, filter, show, energy, ...this.local.values()])
       if (program) gl.deleteProgram(program.id);
   }
 
@@ -184,10 +204,12 @@ export class Drawing {
     const local = this.local.get(view.shading ?? "gi");
     // Local models read no texels: their light stays as it is.
     const records = local ? this.texels.records : this.#fold(light, keyOf(view.light));
+    const shine = local ? {} : this.shine.at(this.programs.energy, view.shine, light, n);
     const picture = this.#pictureOf(size);
     picture.begin(n, size, band);
     run(this.gl, local ?? this.programs.lit, {
-      ...this.volume.at(codeOf(document, view.isovalue)),
+      ...this.volume.at(...codesOf(document, view.isovalue)),
+      ...uniformsOf(document, view.isovalue, { tops: this.volume.tops, bricks: this.texels.bricks }),
       ...this.colours.uniforms,
       ...raysOf(document.grid, view.camera, size[0], size[1]),
       ...lightOf(document, light),
@@ -195,6 +217,7 @@ export class Drawing {
       ...latticeOf(document),
       albedo: view.albedo ?? [1, 1, 1],
       ...sightOf(document, view.window ?? []),
+      ...shine,
       bricks: this.texels.bricks,
       records,
       ...filmOf(document, view.exposure),

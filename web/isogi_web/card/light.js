@@ -17,6 +17,7 @@ import { bandRotations, turned } from "./harmonics.js";
  *   `quadricOf`
  * @property {Vec3[]} towards direction to the middle of each lobe, in the volume's box
  * @property {[Vec3, Vec3][]} edges two radii of the disc of each lobe
+ * @property {[Vec3, Vec3, Vec3]} matrix rows of its rotation in the box
  * @property {Vec3} key direction to the key light of local models, unless it follows the camera
  */
 
@@ -92,7 +93,7 @@ export function turnLight({ grid, light, model }, rotation) {
   );
   const towards = light.lobes.map((lobe) => turn(lobe.towards));
   const key = model.follows === "light" ? turn(model.key) : model.key;
-  return { columns: terms, quadric, towards, edges, key };
+  return { columns: terms, quadric, towards, edges, matrix, key };
 }
 
 /**

@@ -22,7 +22,7 @@ const GOLDEN = Math.PI * (3 - Math.sqrt(5));
  * @param {number} base
  * @returns {number}
  */
-function halton(n, base) {
+export function halton(n, base) {
   let sum = 0;
   for (let share = 1 / base; n > 0; n = Math.floor(n / base), share /= base)
     sum += (n % base) * share;

@@ -16,6 +16,7 @@
  */
 
 import { ones, readBlocks } from "./blocks.js";
+import { Refusal } from "./device.js";
 import { bytesOf, fillTexture, makeTexture } from "./textures.js";
 
 /** @typedef {import("./blocks.js").Block} Block */
@@ -35,6 +36,9 @@ const NOWHERE = 255; // distance of a brick that no mean stands in for: larger t
 /** Distance within which the mean of a brick stands in for bricks without texels, in bricks. */
 const REACH = 4;
 
+/** Bytes that `bricks` may take: small cards have little memory for it. */
+const MOST_BRICKS = 256 << 20;
+
 /** Rows that are allocated over rows in use, so that textures grow only after several answers. */
 const SPARE = 1.5;
 
@@ -45,8 +49,14 @@ export class Texels {
    * @param {CardDocument} document
    * @param {number} budget bytes for raw transfer
    * @param {Run[]} [runs] texels that were received before the card was lost
+   * @throws {Refusal} if the scene has more bricks than a card takes
    */
-  constructor({ gl, most2d, layers }, { lattice, plan }, budget, runs = /** @type {Run[]} */ ([])) {
+  constructor(
+    { gl, most2d, most3d, layers },
+    { lattice, plan, surfaces },
+    budget,
+    runs = /** @type {Run[]} */ ([]),
+  ) {
     this.gl = gl;
     this.most = most2d;
     this.lattice = lattice;
@@ -56,7 +66,20 @@ export class Texels {
     this.layers = Math.ceil((this.numbers + 2) / 4);
     this.budget = this.layers <= layers ? budget : 0;
     this.wantsRaw = plan.turns || runs.some(({ raw }) => raw.size > 0);
-    this.shape = lattice.size.map((n) => Math.ceil(n / BRICK));
+    // Sides of several surfaces lie one behind the other along z, in whole chunks each.
+    const [x, y, z] = lattice.size.map((n) => Math.ceil(n / BRICK));
+    const whole = (Math.ceil(lattice.size[2] / lattice.chunk) * lattice.chunk) / BRICK;
+    /** Bricks of a side along z. */
+    this.deep = surfaces ? whole : z;
+    this.shape = [x, y, this.deep * (surfaces ? 2 * surfaces.length : 1)];
+    if (this.shape[2] > most3d)
+      throw new Refusal("The light of all surfaces is too deep for this card: the server draws.");
+    if (bytesOf("RGBA32UI", this.shape) > MOST_BRICKS)
+      throw new Refusal(
+        `The light of this scene has an index of more than ${MOST_BRICKS >> 20} MB: the server draws.`,
+      );
+    /** Layers of the table along z that the card does not have yet: 1, or 0 if it has them. */
+    this.changed = new Uint8Array(this.shape[2]);
     this.table = new Uint32Array(4 * this.shape[0] * this.shape[1] * this.shape[2]);
     this.bricks = makeTexture(gl, "RGBA32UI", this.shape);
     this.records = makeTexture(gl, "RGBA32UI", [ROW, 1]);
@@ -189,6 +212,7 @@ export class Texels {
     // Reset the table to empty bricks, then write every run.
     this.rows = 0;
     for (let b = 0; b < this.table.length; b += 4) this.table.set([0, 0, NONE, NOWHERE], b);
+    this.changed.fill(1);
     for (const run of this.runs) this.#place(run);
     this.#finish();
   }
@@ -248,8 +272,13 @@ export class Texels {
    * @param {number} mean number of the record
    */
   #spreadMean([x, y, z], mean) {
-    const [bx, by, bz] = this.shape;
-    for (let k = Math.max(z - REACH, 0); k <= Math.min(z + REACH, bz - 1); k++) {
+    const [bx, by] = this.shape;
+    // A mean stands in for bricks of its side alone.
+    const side = z - (z % this.deep);
+    const first = Math.max(z - REACH, side);
+    const last = Math.min(z + REACH, side + this.deep - 1);
+    this.changed.fill(1, first, last + 1);
+    for (let k = first; k <= last; k++) {
       for (let j = Math.max(y - REACH, 0); j <= Math.min(y + REACH, by - 1); j++) {
         for (let i = Math.max(x - REACH, 0); i <= Math.min(x + REACH, bx - 1); i++) {
           const away = Math.max(Math.abs(i - x), Math.abs(j - y), Math.abs(k - z));
@@ -272,9 +301,17 @@ export class Texels {
     return (z * this.shape[1] + y) * this.shape[0] + x;
   }
 
-  /** Upload the table to the card. */
+  /** Upload the layers of the table that changed, those side by side together. */
   #finish() {
-    fillTexture(this.gl, this.bricks, this.table);
+    const [x, y, z] = this.shape;
+    const layer = 4 * x * y;
+    for (let from = this.changed.indexOf(1); from >= 0; from = this.changed.indexOf(1, from)) {
+      const end = this.changed.indexOf(0, from);
+      const to = end < 0 ? z : end;
+      const part = this.table.subarray(layer * from, layer * to);
+      fillTexture(this.gl, this.bricks, part, [0, 0, from], [x, y, to - from]);
+      this.changed.fill(0, from, to);
+    }
   }
 
   /**

@@ -2,14 +2,14 @@
  * Textures of a card: allocated once at a fixed size, as WebGL 2 has it, and filled part by part.
  */
 
-/** @typedef {"R8UI"|"RGB8UI"|"R16UI"|"R32F"|"R32UI"|"RG32UI"|"RGBA32UI"|"RGBA16F"|"RGBA32F"} Format */
+/** @typedef {"R8UI"|"RGB8UI"|"R16UI"|"R32F"|"R32UI"|"RG32UI"|"RGBA32UI"|"RGB16F"|"RGBA16F"|"RGBA32F"} Format */
 /**
  * @typedef {{id: WebGLTexture, target: number, format: Format, size: readonly number[]}} Texture
  */
 
 /**
  * Format and type of the data that fills each internal format.
- * @type {Record<Format, ["RED_INTEGER"|"RED"|"RG_INTEGER"|"RGB_INTEGER"|"RGBA_INTEGER"|"RGBA",
+ * @type {Record<Format, ["RED_INTEGER"|"RED"|"RG_INTEGER"|"RGB_INTEGER"|"RGBA_INTEGER"|"RGB"|"RGBA",
  *   "UNSIGNED_BYTE"|"UNSIGNED_SHORT"|"FLOAT"|"UNSIGNED_INT"|"HALF_FLOAT"]>}
  */
 const DATA = {
@@ -20,6 +20,7 @@ const DATA = {
   R32UI: ["RED_INTEGER", "UNSIGNED_INT"],
   RG32UI: ["RG_INTEGER", "UNSIGNED_INT"],
   RGBA32UI: ["RGBA_INTEGER", "UNSIGNED_INT"],
+  RGB16F: ["RGB", "HALF_FLOAT"],
   RGBA16F: ["RGBA", "HALF_FLOAT"],
   RGBA32F: ["RGBA", "FLOAT"],
 };
@@ -33,6 +34,7 @@ const BYTES = {
   R32UI: 4,
   RG32UI: 8,
   RGBA32UI: 16,
+  RGB16F: 6,
   RGBA16F: 8,
   RGBA32F: 16,
 };

@@ -1,7 +1,8 @@
-/** The volume on the card: all of its voxels, and the active-cell map of the current isovalue. */
+/** The volume on the card: all of its voxels, and the active-cell map of each isovalue shown. */
 
 import { brickShape, findRanges, markCells } from "./cells.js";
 import { Refusal } from "./device.js";
+import { countOf, joinMaps } from "./surfaces.js";
 import { fillTexture, makeTexture } from "./textures.js";
 
 /** @typedef {import("./cells.js").Voxels} Voxels */
@@ -26,7 +27,7 @@ export function joinSlabs({ grid: { size }, volume }, slabs) {
   return codes;
 }
 
-/** The voxels of a scene on a card, with the active-cell map of one isovalue. */
+/** The voxels of a scene on a card, with the active-cell maps of the isovalues that are shown. */
 export class Volume {
   /**
    * @param {import("./device.js").Device} device
@@ -34,7 +35,8 @@ export class Volume {
    * @param {Voxels} codes x fastest, then y
    * @throws {Refusal} if the volume is larger than the card's textures
    */
-  constructor({ gl, most3d }, { grid, volume }, codes) {
+  constructor({ gl, most3d }, document, codes) {
+    const { grid, volume } = document;
     if (Math.max(...grid.size) > most3d) {
       throw new Refusal(
         `The volume has ${Math.max(...grid.size)} voxels along a side, and the graphics card takes ${most3d}: the server draws.`,
@@ -50,9 +52,14 @@ export class Volume {
     this.codes =
       volume.hole === null ? codes : codes.map((code) => (code === volume.hole ? NaN : code));
     this.ranges = findRanges(this.codes, grid.size);
-    this.tops = makeTexture(gl, "R32UI", brickShape(grid.size));
+    const [x, y, z] = brickShape(grid.size);
+    this.tops = makeTexture(gl, "R32UI", [x, y, countOf(document) * z]);
     this.cells = makeTexture(gl, "RG32UI", [MAP_ROW, 1]);
-    this.isovalue = NaN;
+    /**
+     * The map of each surface, with its isovalue.
+     * @type {{isovalue: number, map: import("./surfaces.js").CellMap}[]}
+     */
+    this.maps = [];
   }
 
   /** Return all textures of the volume, to delete them. @returns {Texture[]} */
@@ -61,21 +68,27 @@ export class Volume {
   }
 
   /**
-   * Return the uniforms of the volume at an isovalue, and make its active-cell map if the isovalue
-   * has changed.
-   * @param {number} isovalue as a code
+   * Return the uniforms of the volume at the isovalue of each surface, and make the active-cell maps
+   * of those that have changed.
+   * @param {...number} isovalues as codes
    * @returns {Record<string, import("./programs.js").Value>}
    */
-  at(isovalue) {
-    if (isovalue !== this.isovalue) this.#map(isovalue);
+  at(...isovalues) {
+    if (isovalues.some((isovalue, k) => isovalue !== this.maps[k]?.isovalue)) this.#map(isovalues);
     const { size, spacing } = this.grid;
+    const [isovalue] = isovalues;
     return { voxels: this.texture, size, spacing, isovalue, tops: this.tops, cells: this.cells };
   }
 
-  /** Make the active-cell map of an isovalue, and upload it. @param {number} isovalue as a code */
-  #map(isovalue) {
+  /** Make the active-cell maps of isovalues, and upload them. @param {number[]} isovalues as codes */
+  #map(isovalues) {
     const { gl } = this;
-    const map = markCells(this.codes, this.grid.size, this.ranges, isovalue);
+    this.maps = isovalues.map((isovalue, k) =>
+      isovalue === this.maps[k]?.isovalue
+        ? this.maps[k]
+        : { isovalue, map: markCells(this.codes, this.grid.size, this.ranges, isovalue) },
+    );
+    const map = joinMaps(this.maps.map((each) => each.map));
     const rows = Math.max(Math.ceil(map.marked / MAP_ROW), 1);
     const words = new Uint32Array(2 * MAP_ROW * rows);
     words.set(map.cells);
@@ -86,6 +99,5 @@ export class Volume {
     }
     fillTexture(gl, this.tops, map.tops);
     fillTexture(gl, this.cells, words, [0, 0], [MAP_ROW, rows]);
-    this.isovalue = isovalue;
   }
 }

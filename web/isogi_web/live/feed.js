@@ -52,13 +52,15 @@ export class Feed {
    * @type {Map<string, {due: number, wait: number}>}
    */
   #here = new Map();
+  /** Isovalue of the last view at rest. */
+  #isovalue = NaN;
   #working = false;
   #closed = false;
 
   /**
    * @param {LightCard} card
-   * @param {(what: "light"|"transfer", chunks: string[], turn: Angles) => Promise<ArrayBuffer>} ask
-   *   requests chunks of one kind under a rotation
+   * @param {(what: "light"|"transfer", chunks: string[], turn: Angles, values: Knobs) =>
+   *   Promise<ArrayBuffer>} ask requests chunks of one kind under a rotation, for a view
    * @param {Angles} turn rotation of the light at first
    * @param {() => void} onLight is called when the card has new light
    * @param {import("../net/trouble.js").Clock} [clock]
@@ -79,6 +81,12 @@ export class Feed {
    * @param {boolean} moving true if the view goes on changing
    */
   async bring(chunks, values, moving) {
+    // Light of pinned surfaces is another at each isovalue: what comes for one says nothing about
+    // when that of the next is due.
+    if (!moving && values.isovalue !== this.#isovalue) {
+      this.#here.clear();
+      this.#isovalue = values.isovalue;
+    }
     this.#wanted = { chunks, values, moving, asked: new Set() };
     if (this.#working) return;
     this.#working = true;
@@ -106,9 +114,12 @@ export class Feed {
       return;
     }
     next.chunks.forEach((name) => wanted.asked.add(`${next.what} ${name}`));
-    const answer = await this.#ask(next.what, next.chunks, this.#turn);
+    const answer = await this.#ask(next.what, next.chunks, this.#turn, wanted.values);
     if (this.#closed) return;
-    next.chunks.forEach((name) => this.#note(placeOf(name)));
+    // An answer for a view that slid on says nothing about the light of the view that rests.
+    const { values, moving } = this.#wanted ?? wanted;
+    if (moving || values.isovalue === wanted.values.isovalue)
+      next.chunks.forEach((name) => this.#note(placeOf(name)));
     this.#card.take(answer, fromAngles(this.#turn));
     this.#onLight();
   }

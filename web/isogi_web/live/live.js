@@ -6,15 +6,21 @@
 import { Refusal } from "../card/device.js";
 import { isDrawn, isLocal, slabsOf } from "../card/document.js";
 import { Trouble } from "../net/trouble.js";
-import { MOST_DIFFER, pixelsOf, shareThatDiffers } from "./check.js";
+import {
+  AROUND_SHINY,
+  MOST_DIFFER,
+  MOST_DIFFER_SHINY,
+  pixelsOf,
+  shareThatDiffers,
+} from "./check.js";
 import { Feed } from "./feed.js";
 import {
   albedoOf,
-  anglesOf,
   cardView,
   chunksQuery,
   documentQuery,
   lightQuery,
+  turnOf,
   viewNear,
 } from "./view.js";
 
@@ -72,6 +78,8 @@ export class Live {
   #loaded = null;
   /** Chunks of the newest list. @type {CardChunk[]} */
   #chunks = [];
+  /** Isovalue that this list was asked for. */
+  #listedAt = NaN;
   /**
    * Lists whose light is all final, by their request: the server would send the same list again.
    * @type {Map<string, CardChunk[]>}
@@ -91,9 +99,13 @@ export class Live {
    * @type {{values: Knobs, since: number, begun: boolean}|null}
    */
   #check = null;
-  /** Shadings whose pictures were found right: each has a program. @type {Set<string>} */
+  /**
+   * Shadings whose pictures were found right, with and without shine: each has a part of the shaders.
+   * @type {Set<string>}
+   */
   #checked = new Set();
   #unlit = false; // true while the scene was shown by local models alone: no light was asked for
+  #final = false; // true if the server's picture at rest is final
   #busy = Infinity; // time since which the card refuses new pictures
   #slow = 0; // slow pictures in a row
 
@@ -142,15 +154,41 @@ export class Live {
   }
 
   /**
-   * Predict the relative error of the card's pictures: from the target of the light and the error
-   * that the plan expects besides, once final light of all chunks of the view is here. Local models
-   * have none.
+   * Predict the relative error of the card's pictures: that of their light. Local models have none,
+   * and of shine, which few rays show, it is not known.
    * @returns {number|null} null if it cannot be predicted
    */
   get predicted() {
+    return this.shines ? null : this.#lightError;
+  }
+
+  /** Return true if the card's pictures show shine, by few rays. @returns {boolean} */
+  get shines() {
+    return Boolean(this.#values && this.#shinesIn(this.#values));
+  }
+
+  /** Return true if the card's picture of a view shows shine. @param {Knobs} values */
+  #shinesIn({ shading, strength }) {
+    return Boolean(this.#loaded?.facts.shine) && !isLocal(shading) && strength !== 0;
+  }
+
+  /** Return the name of what a check of a view's picture finds right. @param {Knobs} values */
+  #checkedBy(values) {
+    return this.#shinesIn(values) ? `${values.shading} shine` : values.shading;
+  }
+
+  /**
+   * Predict the relative error of the light of the card's pictures: from the target of the light
+   * and the error that the plan expects besides, once final light of all chunks of the view is
+   * here.
+   * @returns {number|null} null if it cannot be predicted
+   */
+  get #lightError() {
     if (!this.#card || !this.#loaded || !this.#values || !this.#has(this.#values)) return null;
     if (isLocal(this.#values.shading)) return 0;
     if (!this.#chunks.length || !this.#chunks.every(({ final }) => final)) return null;
+    // Light of pinned surfaces is another at each isovalue.
+    if (this.#loaded.facts.surfaces && this.#listedAt !== this.#values.isovalue) return null;
     const here = this.#card.drawing?.texels.chunks;
     const { target, expected } = this.#loaded.facts;
     return this.#chunks.every(({ at, version }) => here?.get(at)?.version === version)
@@ -195,14 +233,15 @@ export class Live {
     if (!isLocal(values.shading)) this.#unlit = false;
     const card = this.draws(values) && this.#has(values);
     this.#values = values;
-    const isLit = facts?.provisional === false || facts?.coverage.provisional === 0;
+    this.#final = facts?.provisional === false;
+    const isLit = this.#final || facts?.coverage.provisional === 0;
     if (values.overlay !== "none" || isLit) this.#fade();
-    if (card && chunks) this.#bring(chunks);
+    if (card && chunks) this.#bring(chunks, values);
     else if (card) this.#list(true);
     else this.#prepare(values);
     // A card that has not been checked yet is checked with this view.
-    if (!card || this.shows || this.#checked.has(values.shading) || values.overlay !== "none")
-      return;
+    const isKnown = this.#checked.has(this.#checkedBy(values));
+    if (!card || this.shows || isKnown || values.overlay !== "none") return;
     if (this.#check?.values !== values)
       this.#check = { values, since: performance.now(), begun: false };
     this.#animate();
@@ -238,23 +277,25 @@ export class Live {
       this.#checked.clear();
       this.#unlit = isLocal(values.shading);
 
-      // Light is requested with the parameters of this view; transfer belongs to no rotation.
+      // Light is requested with the parameters of this view, at the isovalue that is shown by then;
+      // transfer belongs to no rotation.
       const ask = (
         /** @type {"light"|"transfer"} */ what,
         /** @type {string[]} */ chunks,
         /** @type {Angles} */ turn,
+        /** @type {Knobs} */ { isovalue },
       ) =>
         this.#source.blocks(
           what,
           chunks,
-          lightQuery(this.#scene, values, what === "light" ? turn : null),
+          lightQuery(this.#scene, facts, { ...values, isovalue }, what === "light" ? turn : null),
         );
       this.#loaded = {
         key,
         look: this.#lookOf(values),
         albedo: albedoOf(this.#scene, values),
         facts,
-        feed: new Feed(card, ask, anglesOf(values), () => this.#refresh()),
+        feed: new Feed(card, ask, turnOf(this.#scene, facts, values), () => this.#refresh()),
       };
       this.#list(true);
     } catch (error) {
@@ -354,12 +395,15 @@ export class Live {
 
   /**
    * Check the card at the first rest, below the server's picture: draw the view as well as the card
-   * can once it has all of its light, and compare both.
+   * can once it has all of its light, and compare both. Shine is compared with the final picture, as
+   * the server shows it by single rays before.
    * @param {Card} card
    */
   #prove(card) {
     const check = this.#check;
-    if (!check || !this.#loaded || this.#moving || this.predicted === null) return;
+    const error = this.#lightError;
+    if (!check || !this.#loaded || this.#moving || error === null) return;
+    if (this.shines && !this.#final) return;
     // Begin only after the card's picture has faded out, as the canvas is about to change.
     const isSeen = performance.now() - check.since < FADED_MS;
     if (!isSeen && !check.begun) check.begun = this.#drawn(card, this.#loaded, check.values);
@@ -368,11 +412,12 @@ export class Live {
       return;
     }
     const server = pixelsOf(this.#hooks.picture?.() ?? null, this.#canvas);
-    const share = server && shareThatDiffers(card.read(), server, this.#canvas, this.predicted);
+    const around = this.shines ? AROUND_SHINY : 0;
+    const share = server && shareThatDiffers(card.read(), server, this.#canvas, error, around);
     if (share === null) return; // try again with another picture of the server
     this.#check = null;
-    this.#checked.add(check.values.shading);
-    if (share <= MOST_DIFFER) return;
+    this.#checked.add(this.#checkedBy(check.values));
+    if (share <= (this.shines ? MOST_DIFFER_SHINY : MOST_DIFFER)) return;
     const reason = `The graphics card draws ${Math.round(100 * share)} % of the pixels differently from the server: the server draws.`;
     this.#leave(reason);
     this.#hooks.refused(reason);
@@ -411,12 +456,13 @@ export class Live {
     if (!values || isLocal(values.shading)) return;
     if (!now && time - this.#listed < LIST_MS) return;
     this.#listed = time;
+    const listed = now ? values : viewNear(values, this.#scene);
     try {
-      this.#bring(
-        await this.#listOf(
-          chunksQuery(this.#scene, now ? values : viewNear(values), this.#hooks.size()),
-        ),
-      );
+      const chunks = await this.#listOf(chunksQuery(this.#scene, listed, this.#hooks.size()));
+      // A view that slid on, and rests, has a list of its own.
+      const isPast = !this.#moving && this.#values?.isovalue !== values.isovalue;
+      if (isPast && this.#loaded?.facts.surfaces) return;
+      this.#bring(chunks, values);
     } catch (error) {
       if (!(error instanceof Trouble)) throw error;
     }
@@ -437,11 +483,18 @@ export class Live {
     return chunks;
   }
 
-  /** Request the light of some chunks. @param {CardChunk[]} chunks */
-  #bring(chunks) {
+  /**
+   * Request the light of some chunks.
+   * @param {CardChunk[]} chunks
+   * @param {Knobs} listed view that they were asked for
+   */
+  #bring(chunks, listed) {
     if (!this.#loaded || !this.#values || isLocal(this.#values.shading)) return;
     this.#chunks = chunks;
-    this.#loaded.feed.bring(chunks, this.#values, this.#moving).catch((error) => {
+    this.#listedAt = listed.isovalue;
+    const { facts, feed } = this.#loaded;
+    const values = { ...this.#values, ...turnOf(this.#scene, facts, this.#values) };
+    feed.bring(chunks, values, this.#moving).catch((error) => {
       // After trouble with the server, the next list requests the light again.
       if (!(error instanceof Trouble)) this.#leave(error.message);
     });

@@ -8,7 +8,7 @@ import { albedoQuery } from "../view/albedo.js";
 import { rayThrough } from "../view/camera.js";
 import { NUMBERS, UNITS } from "../view/model.js";
 import { planesOf } from "../view/planes.js";
-import { fromAngles, vector } from "../view/rotation.js";
+import { fromAngles, inSteps, vector } from "../view/rotation.js";
 
 /** @typedef {import("../card/document.js").CardDocument} CardDocument */
 /** @typedef {import("../net/schemas.js").FrameQuery} FrameQuery */
@@ -20,12 +20,17 @@ import { fromAngles, vector } from "../view/rotation.js";
 /** Parameters that the transfer of texels depends on. */
 const VARIANT = ["environment", "cut", "time", "smooth", "surfaces", "hide", "material"];
 
+/** Parameters of a lobe, which a card draws by any document of a scene that shines. */
+const OF_LOBE = ["shine", "roughness", "strength"];
+
 /** Parameters that a scene's document depends on. */
 const OF_DOCUMENT = [
   ...VARIANT,
-  "shine",
-  ...NUMBERS.filter((name) => UNITS[name] === "share"),
+  ...NUMBERS.filter((name) => UNITS[name] === "share" && !OF_LOBE.includes(name)),
 ];
+/** Angles by which the light is turned. */
+const ANGLES = ["yaw", "pitch", "roll"];
+
 /** Parameters that a list of chunks does not depend on. */
 const OF_PICTURE = ["f", "overlay", "background", "exposure"];
 
@@ -54,7 +59,9 @@ function only(query, names) {
  */
 export function documentQuery(scene, values) {
   const query = frameQuery(scene, values, { width: 1, height: 1 });
-  return { ...only(query, OF_DOCUMENT), shading: "gi" };
+  // Light that is baked for each turn is another light at each.
+  const names = scene.turn_step ? [...OF_DOCUMENT, ...ANGLES] : OF_DOCUMENT;
+  return { ...only(query, names), shading: "gi" };
 }
 
 /**
@@ -77,38 +84,55 @@ export function chunksQuery(scene, values, { width, height }) {
  * Return a nearby view that reads almost the same chunks, one for many moving views.
  *
  * Camera angles are rounded. The light's rotation and the albedo, which no list depends on, are
- * reset. A visitor who turns the object thus causes few requests, and one who turns the light
- * causes none.
+ * reset, unless light is baked for each turn. A visitor who turns the object thus causes few
+ * requests, and one who turns the light causes none.
  *
  * @param {Knobs} values
+ * @param {Partial<Pick<Scene, "turn_step">>} [scene]
  * @returns {Knobs}
  */
-export function viewNear(values) {
+export function viewNear(values, { turn_step = null } = {}) {
   const near = (/** @type {number} */ angle) => STEP * Math.round(angle / STEP);
   return {
     ...values,
     albedo: undefined,
-    yaw: 0,
-    pitch: 0,
-    roll: 0,
+    ...(!turn_step && { yaw: 0, pitch: 0, roll: 0 }),
     azimuth: ((near(values.azimuth) + 540) % 360) - 180,
     elevation: near(values.elevation),
   };
 }
 
 /**
- * Return the parameters of the request for records of texels, or for their transfer.
+ * Return the parameters of the request for records of texels, or for their transfer. Light of pinned
+ * surfaces depends on the isovalue of the one that slides.
  * @param {Scene} scene
+ * @param {Pick<CardDocument, "plan"|"surfaces">} document
  * @param {Knobs} values
  * @param {Angles|null} turn rotation of the light; null for transfer, which depends on none
  * @returns {FrameQuery}
  */
-export function lightQuery(scene, values, turn) {
-  const query = only(
-    frameQuery(scene, values, { width: 1, height: 1 }),
-    turn ? [...VARIANT, "albedo"] : VARIANT,
-  );
-  return turn && scene.turns ? { ...query, ...anglesOf(turn) } : query;
+export function lightQuery(scene, { plan, surfaces }, values, turn) {
+  const query = frameQuery(scene, values, { width: 1, height: 1 });
+  if (!turn) return only(query, VARIANT);
+  const names = [...VARIANT, "albedo", ...(surfaces ? ["isovalue"] : [])];
+  // Light that is baked for each turn is that of the view's angles.
+  if (!plan.turns) return only(query, [...names, ...ANGLES]);
+  return { ...only(query, names), ...(scene.turns && anglesOf(turn)) };
+}
+
+/**
+ * Return the angles by which the card turns the light: none if the server bakes it for each turn.
+ *
+ * The document says which, as hidden surfaces leave light that turns; the angles are still those of
+ * the server's pictures, in steps if the scene has them.
+ *
+ * @param {Pick<Scene, "turns"|"turn_step">} scene
+ * @param {Pick<CardDocument, "plan">} document
+ * @param {Angles} values
+ * @returns {Angles} degrees
+ */
+export function turnOf({ turns, turn_step }, { plan }, values) {
+  return turns && plan.turns ? inSteps(values, turn_step) : { yaw: 0, pitch: 0, roll: 0 };
 }
 
 /**
@@ -134,6 +158,20 @@ export function albedoOf(scene, values) {
 }
 
 /**
+ * Return the lobe that a view asks for.
+ * @param {import("../card/shine.js").Lobe} lobe that of the scene
+ * @param {Knobs} values
+ * @returns {import("../card/shine.js").Lobe}
+ */
+function lobeOf({ kind, roughness, strength }, values) {
+  return {
+    kind: values.shine ?? kind,
+    roughness: values.roughness ?? roughness,
+    strength: values.strength ?? strength,
+  };
+}
+
+/**
  * Return the view as a card draws it.
  * @param {Scene} scene
  * @param {CardDocument} document
@@ -148,11 +186,12 @@ export function cardView(scene, document, values, folded) {
   return {
     isovalue: values.isovalue,
     camera: { eye, target, up, fov: values.fov, parallel },
-    light: fromAngles(scene.turns ? values : { yaw: 0, pitch: 0, roll: 0 }),
+    light: fromAngles(turnOf(scene, document, values)),
     exposure: values.exposure,
     ...(folded && {
       albedo: vector((i) => (folded[i] > 0 ? albedoOf(scene, values)[i] / folded[i] : 1)),
     }),
+    ...(document.shine && { shine: lobeOf(document.shine, values) }),
     ground: document.grounds[ground(values)],
     window: planesOf(cutQuery(values).window ?? ""),
     shading: values.shading,

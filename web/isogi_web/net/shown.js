@@ -26,6 +26,7 @@ import { CLOCK } from "./trouble.js";
  * @typedef {object} Cover the card's picture, which lies over the server's
  * @property {Asked} of the view that it shows
  * @property {number|null} predicted its relative error; null if it cannot be predicted
+ * @property {boolean} [shines] true if it shows shine, by few rays
  *
  * @typedef {"loading"|"trouble"|"away"|"moving"|"updating"|"provisional"|"final"} State state of
  *   the stage: from `moving` on there is a picture, and from `provisional` on it is the full
@@ -128,6 +129,15 @@ export class Shown {
     return this.#cover && this.#isAsked(this.#cover.of) ? this.#cover.predicted : null;
   }
 
+  /**
+   * Return true if the card's picture shows the view that the controls ask for, with shine by few
+   * rays.
+   * @returns {boolean}
+   */
+  get shines() {
+    return Boolean(this.#cover?.shines && this.#isAsked(this.#cover.of));
+  }
+
   /** Return true if the picture has all of the screen's pixels. @returns {boolean} */
   get sharp() {
     return this.#picture?.sharp ?? false;
@@ -205,10 +215,10 @@ export class Shown {
    * Note that the card's picture lies over the server's.
    * @param {Cover} cover
    */
-  cover({ of, predicted }) {
+  cover({ of, predicted, shines }) {
     const same = this.#cover && this.#cover.of === of && this.#cover.predicted === predicted;
     if (same && !this.#lost) return;
-    this.#cover = { of, predicted };
+    this.#cover = { of, predicted, shines };
     this.#lost = false;
     this.#tell();
   }

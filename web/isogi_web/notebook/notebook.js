@@ -136,10 +136,7 @@ function liveIn({ canvas, line }, scene, model, bridge) {
       open: () => Card.open(canvas, (name) => bridge.readShader(name)),
       size: () => ({ width, height }),
       drawn() {
-        line.textContent =
-          live.predicted === null
-            ? "Drawn by the graphics card; light is coming"
-            : `Drawn by the graphics card, about ${errorInWords(live.predicted)} error`;
+        line.textContent = `Drawn by the graphics card${qualityInWords(live)}`;
       },
       lost: () => share(model, { moving: false }),
       refused: (reason) => {
@@ -149,6 +146,16 @@ function liveIn({ canvas, line }, scene, model, bridge) {
     choiceOf(model),
   );
   return live;
+}
+
+/**
+ * Say how good the card's picture is.
+ * @param {Pick<Live, "predicted"|"shines">} live
+ * @returns {string}
+ */
+function qualityInWords({ predicted, shines }) {
+  if (shines) return ", shine by few rays";
+  return predicted === null ? "; light is coming" : `, about ${errorInWords(predicted)} error`;
 }
 
 /** Send values to the kernel. @param {Model} model @param {Record<string, any>} values */

@@ -168,12 +168,13 @@ export function predictedInWords(error) {
 
 /**
  * Describe a picture that is not the server's.
- * @param {Pick<Shown, "facts"|"predicted">} shown
+ * @param {Pick<Shown, "facts"|"predicted"|"shines">} shown
  * @param {State} state
  * @returns {string}
  */
-function drawnInWords({ facts, predicted }, state) {
+function drawnInWords({ facts, predicted, shines }, state) {
   if (facts) return "";
+  if (shines) return " · drawn here, shine by few rays";
   if (predicted) return predictedInWords(predicted);
   return state === "away" ? " · drawn here" : "";
 }

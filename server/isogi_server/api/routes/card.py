@@ -14,9 +14,11 @@ from typing import Any
 from fastapi import APIRouter, Request, Response
 
 from isogi_core.bake.noise import Goal
-from isogi_core.frame.card.blocks import known_light, known_transfer
+from isogi_core.frame.card.blocks import known_transfer
+from isogi_core.frame.card.blurred_surroundings import blurred_surroundings
 from isogi_core.frame.card.colour_codes import ColourCodes
-from isogi_core.frame.card.looks import Look, SeenChunk, look_at
+from isogi_core.frame.card.looks import Look, SeenChunk
+from isogi_core.frame.card.sides import chunks_of_sides, known_light_of_sides, look_at_sides
 from isogi_core.frame.known_blocks import Packed, Part
 from isogi_core.frame.renderer import Renderer
 from isogi_core.plan.scene import Scene
@@ -199,6 +201,29 @@ async def read_colours(
 
 
 @router.get(
+    "/surroundings",
+    response_class=Response,
+    openapi_extra=documented(VoxelParams),
+    responses=PARTS,
+)
+async def read_surroundings(
+    request: Request, scene: SceneDep, params: VoxelParamsDep, service: ServiceDep
+) -> Response:
+    """Return the light from far away as lat-long images, each more blurred than the one before, for
+    surfaces that mirror it. The document of the card says how large they are.
+    """
+    variant = await open_scene(request, service, scene, params)
+
+    def work() -> Response:
+        if variant.surfaces.shine is None:
+            raise UnknownPartError("This scene's surface is diffuse: it mirrors no surroundings.")
+        found = blurred_surroundings(variant.lighting.environment)
+        return binary_answer(request, [Part(found.tobytes())], params.version == found.version)
+
+    return await service.compute(request, work)
+
+
+@router.get(
     "/chunks", response_model=CardChunks, openapi_extra=documented(ViewParams), responses=PROBLEMS
 )
 async def read_chunks(
@@ -207,8 +232,8 @@ async def read_chunks(
     """Return the chunks of texels that a view reads, most visible first, and request the light that
     it lacks.
 
-    Nothing is drawn. The size of the picture sets the number of rays that find the chunks, up to a
-    million.
+    No picture is sent. The size of the picture sets the number of rays that find the chunks, up to
+    a million.
     """
     if "wait_ms" in params.model_fields_set:
         raise ParameterError(
@@ -223,7 +248,7 @@ async def read_chunks(
     def work() -> Look:
         renderer = service.engine.renderer(lit.id)
         renderer.prepared.scene.require_texels()
-        return look_at(renderer, picture.view, picture.goal, renderer.tiles)
+        return look_at_sides(renderer, picture.view, picture.goal, renderer.tiles)
 
     look = await service.compute(request, work)
     # Looking has found the texels that are missing; request them for this client.
@@ -273,7 +298,7 @@ async def read_light(
     picture = service.picture_of(lit, params.view)
 
     def pack(renderer: Renderer, named: list[ChunkName], goal: Goal) -> Packed:
-        return known_light(
+        return known_light_of_sides(
             renderer, picture.view, [each.at for each in named], goal, renderer.tiles
         )
 
@@ -293,6 +318,8 @@ async def read_transfer(
     the light itself.
     """
     lit = await open_scene(request, service, scene, params)
+    if lit.surfaces.several:
+        raise UnknownPartError("Light among several surfaces has no transfer: ask for card/light.")
 
     def pack(renderer: Renderer, named: list[ChunkName], goal: Goal) -> Packed:
         return known_transfer(renderer, [each.at for each in named], goal, renderer.tiles)
@@ -333,7 +360,9 @@ async def packed(
     def work() -> Response:
         renderer = service.engine.renderer(scene.id)
         renderer.prepared.scene.require_texels()
-        named = chunk_names(chunks, renderer.prepared.chunks)
+        named = chunk_names(
+            chunks, chunks_of_sides(renderer.prepared.scene, renderer.prepared.chunks)
+        )
         found = pack(renderer, named, goal_of(scene, params.max_error))
         # The address names versions: the answer lasts only if these are the present ones.
         current = tuple(each.version for each in named) == found.versions

@@ -9,7 +9,7 @@ const float LEAST = 12.0 / 255.0; // Difference of neighbours, of 1, that makes 
 // The difference of two pixels as a screen shows them, 0 to 1; 1 if only one of them shows the
 // surface.
 float difference(vec4 one, vec4 other) {
-  if (one.a != other.a) return 1.0;
+  if ((one.a > 0.0) != (other.a > 0.0)) return 1.0;
   if (one.a == 0.0) return 0.0;
   vec3 apart = abs(srgb(toned(one.rgb)) - srgb(toned(other.rgb)));
   return max(max(apart.r, apart.g), apart.b);

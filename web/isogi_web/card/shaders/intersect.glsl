@@ -7,7 +7,6 @@
 #include "volume.glsl"
 #include "cubic.glsl"
 
-const float OUTSIDE = 1.0, SOLID = -1.0, UNKNOWN = 0.0;
 const float MISS = -1.0;
 // Voxels behind the surface at which a ray of unknown side may begin and still count as outside.
 const float SKIN = 2e-5;
@@ -84,11 +83,11 @@ float cross_cell(Ray ray, ivec3 c, float near, float far, bvec3 entered, bvec3 l
 }
 
 // The first crossing of the isosurface by the ray o + t d, t >= 0, or MISS. `side` is the side of
-// the start. Kernel: cast, a word that GLSL reserves.
+// the start, and becomes that on which the ray arrives. Kernel: cast, a word that GLSL reserves.
 //
 // Places are counted from the point at which the ray enters the box, as single precision is finest
 // near 0.
-float cast_ray(vec3 o, vec3 d, float side) {
+float cast_from(vec3 o, vec3 d, inout float side) {
   Ray ray = ray_of(o, d);
   vec2 part = clip_box(ray);
   if (!(part.x < part.y)) return MISS;
@@ -125,3 +124,6 @@ float cast_ray(vec3 o, vec3 d, float side) {
   }
   return MISS;
 }
+
+// The first crossing by a ray that starts on a `side`, whichever side it arrives on.
+float cast_ray(vec3 o, vec3 d, float side) { return cast_from(o, d, side); }

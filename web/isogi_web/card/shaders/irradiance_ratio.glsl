@@ -2,6 +2,7 @@
 // their light as it is. Kernels: isogi_core/kernels/shading/irradiance_ratio.py and lattice.py;
 // layout: web/isogi_web/card/texels.js.
 #include "bricks.glsl"
+#include "surfaces.glsl"
 // Per brick of 4x4x4 texels: 64 bits of texels that are present, the number of the first record,
 // and a distance.
 uniform highp usampler3D bricks;
@@ -9,8 +10,6 @@ uniform highp usampler3D bricks;
 uniform highp usampler2D records;
 uniform ivec3 lattice;              // texels along x, y, z
 uniform vec3 density;               // texels per voxel
-uniform vec3 quadric[9];            // unshadowed light over 1, y, z, x, xy, yz, z^2, xz, x^2 - y^2
-uniform vec3 least; // Lower bound of unshadowed light.
 
 const float LEAST_COSINE = 1e-3; // Least cosine in weights: if all texels face away, all count.
 const float TURNED = 0.1055; // 1 - cosine, of 27 degrees, at which weights have fallen to a fifth.
@@ -53,7 +52,7 @@ vec3 octahedral(uint word) {
 // The number of the record of texel q: its record if it is present, otherwise that of a nearby
 // brick's mean, or -1. `lacks` tells that it is not present.
 int number_of(ivec3 q, out bool lacks) {
-  uvec4 brick = texelFetch(bricks, q >> 2, 0);
+  uvec4 brick = texelFetch(bricks, (q >> 2) + ivec3(0, 0, light_layer), 0);
   int bit = bit_of(q), all = ones(brick.x) + ones(brick.y);
   uint word = half_of(brick.xy, bit), own = 1u << (bit & 31);
   lacks = (word & own) == 0u;

@@ -1,5 +1,6 @@
 // Direct light of lobes: small distant lights, each sampled by shadow rays. Kernel:
 // isogi_core/kernels/shading/lobes.py.
+#include "constants.glsl"
 #include "launch.glsl"
 uniform vec3 towards[LOBES + 1]; // Unit vectors to the middles, in the box.
 uniform vec3 east[LOBES + 1]; // Radii of a lobe's disc, as long as the sine of its half angle.
@@ -9,7 +10,6 @@ uniform vec3 shine[LOBES + 1]; // Light at a cosine of 1.
 uniform vec2 place;
 uniform bool resting; // True if this picture is one sample of many, spread over the discs.
 
-const float PI = 3.14159265358979;
 const float SHARP = 0.00436331; // Sine of a quarter of a degree: smaller lobes are points.
 
 // E of a lobe whose half angle has the sine s, relative to that from straight above, if only the

@@ -28,7 +28,7 @@ float highlight(vec3 p, vec3 n) {
 vec3 local_light(vec3 p, vec3 n) {
   float cosine = dot(n, key), direct = max(cosine, 0.0);
   if (HIGHLIGHT == 1 && cosine > 0.0) direct += gloss * highlight(p, n);
-  if (SHADOW == 1 && direct > 0.0 && cast_ray(launch(p, n), key / spacing, OUTSIDE) >= 0.0)
+  if (SHADOW == 1 && direct > 0.0 && cast_ray(launch(p, n), key / spacing, facing) >= 0.0)
     direct = 0.0;
   vec3 light = ambient + direct * sun;
   return FOG == 1 ? fog_to(p) * light : light;

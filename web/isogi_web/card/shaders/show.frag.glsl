@@ -11,6 +11,11 @@ void main() {
   // Alpha is the share of samples that met the surface: tone the surface alone, then mix in the
   // ground.
   vec4 mean = texture(picture, at / vec2(textureSize(picture, 0)));
+#ifdef SURFACES
+  // Surfaces that let light pass show the ground behind, which is a colour of the screen.
+  shown = vec4(srgb(min(toned(mean.rgb) + max(1.0 - mean.a, 0.0) * ground, 1.0)), 1.0);
+#else
   vec3 surface = toned(mean.rgb / max(mean.a, 1e-6));
   shown = vec4(srgb(min(mix(ground, surface, min(mean.a, 1.0)), 1.0)), 1.0);
+#endif
 }

@@ -1,6 +1,6 @@
 // Draws a sample of a picture: linear light, and in alpha 1 if the surface is seen. Sample 0 is
 // taken at the middles of pixels. Later samples move only at edges, which smooths them, and send
-// other shadow rays to lobes everywhere.
+// other shadow rays to lobes and other rays of shine everywhere.
 #include "view.glsl"
 #include "edges.glsl"
 uniform bool again; // True for all samples but the first.
@@ -21,9 +21,9 @@ void main() {
   // Fragments count rows from below, pictures from above.
   vec2 at = vec2(gl_FragCoord.x, float(drawn.y) - gl_FragCoord.y);
   if (again) {
-    // Away from edges another sample shows the same, unless lobes are sampled.
+    // Away from edges another sample shows the same, unless lobes or shine are sampled.
     bool edge = is_edge(ivec2(gl_FragCoord.xy));
-    if (!edge && LOBES == 0) discard;
+    if (!edge && LOBES + SHINE == 0) discard;
     if (edge) at += jitter;
   }
   Seen seen = see(at);

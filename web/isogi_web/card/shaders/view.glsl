@@ -9,6 +9,9 @@
 #if SHADING == 1
 #include "irradiance_ratio.glsl"
 #include "lobes.glsl"
+#if SHINE == 1
+#include "shine.glsl"
+#endif
 #else
 #include "local_models.glsl"
 uniform vec3 albedo; // Albedo that is shown, relative to that of the document.
@@ -26,6 +29,9 @@ vec3 find_normal(vec3 p, vec3 d) {
   return n == vec3(0.0) ? -normalize(d * spacing) : n;
 }
 
+#if SHINE == 1
+#include "shade_shiny.glsl"
+#endif
 // Light that leaves the surface at p with normal n.
 vec3 shade(vec3 p, vec3 n, out float lacking) {
 #if SHADING == 1
@@ -38,6 +44,9 @@ vec3 shade(vec3 p, vec3 n, out float lacking) {
 #endif
 }
 
+#ifdef SURFACES
+#include "peels.glsl"
+#else
 // Sample the picture at a place, in pixels from its upper left corner.
 Seen see(vec2 at) {
   vec3 o = start + at.x * startRight + at.y * startDown, d = corner + at.x * right + at.y * down;
@@ -52,7 +61,13 @@ Seen see(vec2 at) {
   if (t < 0.0 || part.x + t > part.y) return seen;
   seen.point = o + t * d;
   if (!opened) seen.normal = find_normal(seen.point, d);
-  seen.light = opened ? face_tint(seen.point) * paint(seen.point) : shade(seen.point, seen.normal, seen.lacking);
+  if (opened) seen.light = face_tint(seen.point) * paint(seen.point);
+#if SHINE == 1
+  else seen.light = shade_shiny(seen.point, seen.normal, d, seen.lacking);
+#else
+  else seen.light = shade(seen.point, seen.normal, seen.lacking);
+#endif
   seen.cover = 1.0;
   return seen;
 }
+#endif

@@ -2,10 +2,10 @@
 // Kernels: isogi_core/kernels/tracing/field.py and active_cells.py. Places are in index space, x
 // first.
 #include "bricks.glsl"
+#include "surfaces.glsl"
 // usampler3D of integers, or sampler3D of floats: codes, which grow with the voxels.
 uniform VOXELS voxels;
 uniform ivec3 size;          // voxels along x, y, z
-uniform float isovalue;      // as a code
 uniform vec3 spacing;        // world units per voxel
 // Per brick: the number of its cells' words, or EMPTY plus the distance to the next brick with
 // active cells.
@@ -22,7 +22,7 @@ float voxel(ivec3 c) { return float(texelFetch(voxels, c, 0).r); }
 // around it. Source of empty-space skipping by distances: Zuiderveld, Koning and Viergever,
 // "Acceleration of Ray-Casting Using 3-D Distance Transforms", 1992.
 bool look_up(ivec3 c, out ivec3 low, out int edge) {
-  uint top = texelFetch(tops, c >> 2, 0).r;
+  uint top = texelFetch(tops, (c >> 2) + ivec3(0, 0, map_layer), 0).r;
   low = c;
   edge = 1;
   if ((top & EMPTY) != 0u) {

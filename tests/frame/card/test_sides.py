@@ -1,0 +1,152 @@
+"""Light of several surfaces for cards: chunks of all sides, and what they depend on."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from isogi_core.bake.noise import Goal
+from isogi_core.cache.scene_caches import Caches
+from isogi_core.errors import NoRoomError
+from isogi_core.frame.card.block_format import HEADER
+from isogi_core.frame.card.looks import Look
+from isogi_core.frame.card.sides import (
+    chunks_of_sides,
+    known_light_of_sides,
+    look_at_sides,
+    seen_on_sides,
+)
+from isogi_core.frame.renderer import Renderer
+from isogi_core.frame.several.composed_frame import parts_of
+from isogi_core.frame.several.peeling_renderer import PeelingRenderer
+from isogi_core.frame.tiles import Tiles
+from isogi_core.model.view import View
+from isogi_core.plan.variants import Side
+from isogi_core.prepared.prepared_scene import Index
+from tests.frame.conftest import LOOSE, SKY, Workbench
+from tests.frame.several.drawing import bake
+from tests.loaded import load_scene
+
+HALO = {"isovalue": 0.012, "albedo": 0.6, "clear": 0.65}
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Workbench:
+    """The orbital in a clear shell."""
+    scene = load_scene(
+        "demo:orbital", isovalue=0.06, lights=[SKY], bounces=1, target_error=0.3, surfaces=[HALO]
+    )
+    return Workbench(scene, tmp_path_factory.mktemp("sides"))
+
+
+def view_at(bench: Workbench, isovalue: float = 0.06) -> View:
+    """A small view of an isovalue."""
+    return bench.view(size=24, isovalue=isovalue)
+
+
+def look(bench: Workbench, view: View) -> Look:
+    """The look of a view."""
+    return look_at_sides(bench.renderer, view, Goal.checked(LOOSE), bench.renderer.tiles)
+
+
+def versions_of(bench: Workbench, isovalue: float) -> dict[Index, bytes]:
+    """The versions of all chunks in sight, baked by then."""
+    view = view_at(bench, isovalue)
+    bake(bench, view)
+    return {each.at: each.version for each in look(bench, view).seen}
+
+
+def test_a_view_names_the_chunks_of_all_sides_that_it_shows(bench: Workbench) -> None:
+    view = view_at(bench)
+    deep = bench.prepared.chunks[0]
+    assert chunks_of_sides(bench.scene, bench.prepared.chunks)[0] == 4 * deep
+    shown = {part.side.peeled for part in parts_of(bench.renderer.render(view))}
+    assert {each.at[0] // deep for each in look(bench, view).seen} == shown
+
+
+def test_a_view_that_lacks_light_asks_for_it(bench: Workbench) -> None:
+    fresh = Workbench(bench.scene, bench.folder / "fresh")
+    view = view_at(fresh)
+    found = look(fresh, view)
+    assert found.frame is not None and found.frame.stages
+    assert not any(any(each.version) for each in found.seen)
+    bake(fresh, view)
+    assert look(fresh, view).frame is None
+
+
+def test_light_of_pinned_surfaces_has_a_version_at_each_isovalue(bench: Workbench) -> None:
+    deep = bench.prepared.chunks[0]
+    some, others = versions_of(bench, 0.06), versions_of(bench, 0.07)
+    pinned = [at for at in some.keys() & others.keys() if at[0] >= 2 * deep]
+    assert pinned and all(some[at] != others[at] for at in pinned)
+
+
+def test_blocks_are_those_that_the_list_names(bench: Workbench) -> None:
+    view = view_at(bench, 0.07)
+    bake(bench, view)
+    seen = look(bench, view).seen
+    chunks = [each.at for each in seen]
+    goal, tiles = Goal.checked(LOOSE), bench.renderer.tiles
+    found = known_light_of_sides(bench.renderer, view, chunks, goal, tiles)
+    heads = [np.frombuffer(each.data, HEADER, 1)[0] for each in found.blocks]
+    assert [tuple(head["at"].tolist()) for head in heads] == chunks
+    assert [bytes(head["version"]) for head in heads] == [each.version for each in seen]
+    assert all(head["counts"][1] > 0 for head in heads)
+    again = known_light_of_sides(bench.renderer, view, chunks[:1], goal, tiles)
+    assert again.blocks[0] is found.blocks[0], "each is folded once"
+    other = known_light_of_sides(bench.renderer, replace(view, isovalue=0.06), chunks, goal, tiles)
+    same = [one is two for one, two in zip(found.blocks, other.blocks, strict=True)]
+    deep = bench.prepared.chunks[0]
+    assert same == [at[0] < 2 * deep for at in chunks], "the sliding surface has the same light"
+
+
+def test_a_list_of_chunks_draws_no_picture(
+    bench: Workbench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fresh = Workbench(bench.scene, bench.folder / "undrawn")
+    view = view_at(fresh)
+    seen = look(fresh, view).seen
+    assert not all(each.final for each in seen)
+    monkeypatch.setattr(PeelingRenderer, "draw", None)
+    assert seen_on_sides(fresh.renderer, view, Goal.checked(LOOSE), Tiles()) == seen
+
+
+def answers(renderer: Renderer, view: View) -> list[bytes]:
+    """The blocks of all chunks that a view lists."""
+    goal, tiles = Goal.checked(LOOSE), Tiles()
+    chunks = [each.at for each in seen_on_sides(renderer, view, goal, tiles)]
+    return [each.data for each in known_light_of_sides(renderer, view, chunks, goal, tiles).blocks]
+
+
+def test_light_of_other_isovalues_makes_room_for_cards(bench: Workbench, tmp_path: Path) -> None:
+    """Views whose light fits the memory one by one have the blocks that they have where all of it
+    fits.
+    """
+    first = bench.scene.levels.index(0.06)
+    own = Workbench(bench.scene, tmp_path)
+    views = [view_at(own, each) for each in own.scene.levels[first : first + 2]]
+    sizes = [
+        sum(part.caches.nbytes for part in parts_of(bake(own, view, 1)) if part.side.number)
+        for view in views
+    ]
+    plenty = [answers(own.renderer, view) for view in views]
+    small = Renderer(Caches(own.prepared, own.folder, sum(sizes) - min(sizes) // 8), Tiles())
+    assert small.peeling is not None
+    readers = []
+    for view, whole in zip([*views, views[0]], [*plenty, plenty[0]], strict=True):
+        assert answers(small, view) == whole
+        readers.append(small.peeling.renderer_of(Side(1), view.isovalue))
+    assert readers[0] is not readers[-1], "the light of the first view was let go, and read anew"
+
+
+def test_cards_are_told_of_light_beyond_the_budget(bench: Workbench) -> None:
+    view = view_at(bench)
+    bake(bench, view, 1)
+    chunks = [each.at for each in look(bench, view).seen]
+    goal, tiles = Goal.checked(LOOSE), Tiles()
+    small = Renderer(Caches(bench.prepared, bench.folder, 1), tiles)
+    with pytest.raises(NoRoomError, match="give light more memory"):
+        seen_on_sides(small, view, goal, tiles)
+    with pytest.raises(NoRoomError, match="give light more memory"):
+        known_light_of_sides(small, view, chunks, goal, tiles)
