@@ -208,8 +208,8 @@ async def read_chunks(
     """Return the chunks of texels that a view reads, most visible first, and request the light that
     it lacks.
 
-    No picture is sent. The size of the picture sets the number of rays that find the chunks, up to a
-    million.
+    No picture is sent. The size of the picture sets the number of rays that find the chunks, up to
+    a million.
     """
     if "wait_ms" in params.model_fields_set:
         raise ParameterError(
