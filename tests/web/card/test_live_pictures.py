@@ -70,14 +70,13 @@ target_error = 0.1
 lights = [{ type = "constant", radiance = 0.5 }, { type = "sky" }]
 """
 COLOUR = '[[volumes]]\nuse = "colour"\nof = "gradient"\nmap = "coolwarm"\n'
-SHINE = '[shine]\nkind = "plastic"\nroughness = 0.2\n'
 
 
 @pytest.fixture(scope="module")
 def server(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[str]:
-    """A server of two balls that touch, in one colour, in colours of their gradient, or shiny."""
+    """A server of two balls that touch, in one colour or in colours of their gradient."""
     folder = tmp_path_factory.mktemp(request.param)
     z, y, x = np.mgrid[:16, :20, :24]
     balls = [
@@ -86,7 +85,7 @@ def server(
     ]
     nrrd.write(str(folder / "balls.nrrd"), sum(balls).astype(np.float32), index_order="C")
     scene = folder / "balls.toml"
-    scene.write_text(BALLS + {"coloured": COLOUR, "shiny": SHINE}.get(request.param, ""))
+    scene.write_text(BALLS + (COLOUR if request.param == "coloured" else ""))
     with serving(scene, folder / "store") as url:
         yield url
 
@@ -193,15 +192,3 @@ def test_the_page_says_that_its_card_draws_wrongly(
         page.keyboard.press("ArrowRight")
         wait_final(page)
         expect(page.locator("#live:not([hidden], [data-faded])")).to_have_count(0)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("server", ["shiny"], indirect=True)
-@pytest.mark.parametrize("wrong", ["", "light"])
-def test_a_shiny_view_is_compared_as_well(browser: Browser, server: str, wrong: str) -> None:
-    with visited(browser, f"{server}/?draw=card", wrong) as page:
-        found = reading(page)
-        assert found["shading"] == "gi"
-        page.wait_for_timeout(300)
-        told = any(DIFFERENT in each for each in page.evaluate("window.notices"))
-        assert told == bool(wrong), share_that_differs(found)
