@@ -125,7 +125,7 @@ def test_light_of_other_isovalues_makes_room_for_cards(bench: Workbench, tmp_pat
     """
     first = bench.scene.levels.index(0.06)
     own = Workbench(bench.scene, tmp_path)
-    views = [view_at(own, each) for each in own.scene.levels[first : first + 2]]
+    views = [view_at(own, each) for each in own.scene.levels[first : first + 4]]
     sizes = [
         sum(part.caches.nbytes for part in parts_of(bake(own, view, 1)) if part.side.number)
         for view in views

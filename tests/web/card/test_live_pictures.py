@@ -71,16 +71,15 @@ lights = [{ type = "constant", radiance = 0.5 }, { type = "sky" }]
 """
 PINNED = "[[surfaces]]\nisovalue = 0.25\nalbedo = [0.3, 0.5, 0.8]\nclear = 0.6\n"
 COLOUR = '[[volumes]]\nuse = "colour"\nof = "gradient"\nmap = "coolwarm"\n'
-SHINE = '[shine]\nkind = "plastic"\nroughness = 0.2\n'
-MORE = {"plain": "", "coloured": COLOUR, "in a shell": PINNED, "shiny": SHINE}
+MORE = {"plain": "", "coloured": COLOUR, "in a shell": PINNED}
 
 
 @pytest.fixture(scope="module")
 def server(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[str]:
-    """A server of two balls that touch, in one colour, in colours of their gradient, in a clear
-    shell, or shiny.
+    """A server of two balls that touch, in one colour, in colours of their gradient, or in a clear
+    shell.
     """
     folder = tmp_path_factory.mktemp(request.param.replace(" ", "-"))
     z, y, x = np.mgrid[:16, :20, :24]
@@ -208,15 +207,3 @@ def test_the_page_says_that_its_card_draws_wrongly(
         page.keyboard.press("ArrowRight")
         wait_final(page)
         expect(page.locator("#live:not([hidden], [data-faded])")).to_have_count(0)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("server", ["shiny"], indirect=True)
-@pytest.mark.parametrize("wrong", ["", "light"])
-def test_a_shiny_view_is_compared_as_well(browser: Browser, server: str, wrong: str) -> None:
-    with visited(browser, f"{server}/?draw=card", wrong) as page:
-        found = reading(page)
-        assert found["shading"] == "gi"
-        page.wait_for_timeout(300)
-        told = any(DIFFERENT in each for each in page.evaluate("window.notices"))
-        assert told == bool(wrong), share_that_differs(found)

@@ -14,8 +14,8 @@ import { quadricOf } from "./light.js";
 export const countOf = ({ surfaces }) => surfaces?.length ?? 1;
 
 /**
- * Return the names that shaders of a scene are compiled with: none if it has one surface, which then
- * pays for nothing.
+ * Return the names that shaders of a scene are compiled with: none if it has one surface, which
+ * then pays for nothing.
  * @param {CardDocument} document
  * @returns {Record<string, number>}
  */
@@ -33,8 +33,8 @@ export function codesOf(document, shown) {
 }
 
 /**
- * Join the active-cell maps of surfaces: their tops one behind the other along z, and their cells in
- * one list.
+ * Join the active-cell maps of surfaces: their tops one behind the other along z, and their cells
+ * in one list.
  * @param {CellMap[]} maps
  * @returns {CellMap}
  */
