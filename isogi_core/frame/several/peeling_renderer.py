@@ -176,7 +176,7 @@ class PeelingRenderer:
         refined = to_refine(frame, errors, goal.error)
         found = list[WorkLeft]()
         for part in frame.parts:
-            renderer = self._renderer(part.side, frame.view.isovalue)
+            renderer = self.renderer_of(part.side, frame.view.isovalue)
             if part.side == WALLS_SIDE:
                 found += renderer.walls_left(part.frame, goal) if part in refined else ()
                 continue
