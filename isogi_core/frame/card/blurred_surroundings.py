@@ -24,7 +24,7 @@ FEWEST_ROWS = 8
 lobe.
 """
 
-REACH = 5.0
+BLUR_REACH = 5.0
 """Widths of the blur beyond which it is 0."""
 
 BRIGHTEST = 32768.0
@@ -101,7 +101,7 @@ def blurred(image: np.ndarray, width: float) -> np.ndarray:
     found = np.empty((rows, columns // 2, 3))
     for k in range(rows):
         middle = (k + 0.5) * (np.pi / rows)
-        near = np.abs(theta - middle) <= REACH * width
+        near = np.abs(theta - middle) <= BLUR_REACH * width
         # The blur depends on the difference of columns alone: a row of the result is a sum of
         # correlations with rows of the source, weighted by the solid angle of their pixels.
         level = math.cos(middle) * np.cos(theta[near])[:, None]
