@@ -1,13 +1,11 @@
 """Light of several surfaces for cards: chunks of all sides, and what they depend on."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from isogi_core.bake.noise import Goal
-from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import NoRoomError
 from isogi_core.frame.card.block_format import HEADER
 from isogi_core.frame.card.looks import Look
@@ -17,7 +15,6 @@ from isogi_core.frame.card.sides import (
     look_at_sides,
     seen_on_sides,
 )
-from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.several.composed_frame import parts_of
 from isogi_core.frame.several.peeling_renderer import PeelingRenderer
 from isogi_core.frame.tiles import Tiles
@@ -112,41 +109,35 @@ def test_a_list_of_chunks_draws_no_picture(
     assert seen_on_sides(fresh.renderer, view, Goal.checked(LOOSE), Tiles()) == seen
 
 
-def answers(renderer: Renderer, view: View) -> list[bytes]:
-    """The blocks of all chunks that a view lists."""
-    goal, tiles = Goal.checked(LOOSE), Tiles()
-    chunks = [each.at for each in seen_on_sides(renderer, view, goal, tiles)]
-    return [each.data for each in known_light_of_sides(renderer, view, chunks, goal, tiles).blocks]
-
-
-def test_light_of_other_isovalues_makes_room_for_cards(bench: Workbench, tmp_path: Path) -> None:
-    """Views whose light fits the memory one by one have the blocks that they have where all of it
-    fits.
-    """
-    first = bench.scene.levels.index(0.06)
-    own = Workbench(bench.scene, tmp_path)
-    views = [view_at(own, each) for each in own.scene.levels[first : first + 4]]
-    sizes = [
-        sum(part.caches.nbytes for part in parts_of(bake(own, view, 1)) if part.side.number)
-        for view in views
-    ]
-    plenty = [answers(own.renderer, view) for view in views]
-    small = Renderer(Caches(own.prepared, own.folder, sum(sizes) - min(sizes) // 8), Tiles())
-    assert small.peeling is not None
-    readers = []
-    for view, whole in zip([*views, views[0]], [*plenty, plenty[0]], strict=True):
-        assert answers(small, view) == whole
-        readers.append(small.peeling.renderer_of(Side(1), view.isovalue))
-    assert readers[0] is not readers[-1], "the light of the first view was let go, and read anew"
-
-
-def test_cards_are_told_of_light_beyond_the_budget(bench: Workbench) -> None:
+@pytest.mark.parametrize("times", [1, 2])
+def test_cards_keep_to_the_memory_of_light(
+    bench: Workbench, monkeypatch: pytest.MonkeyPatch, times: int
+) -> None:
+    """Light of other isovalues makes room once; what still takes too much is refused."""
     view = view_at(bench)
-    bake(bench, view, 1)
-    chunks = [each.at for each in look(bench, view).seen]
+    bake(bench, view)
     goal, tiles = Goal.checked(LOOSE), Tiles()
-    small = Renderer(Caches(bench.prepared, bench.folder, 1), tiles)
-    with pytest.raises(NoRoomError, match="give light more memory"):
-        seen_on_sides(small, view, goal, tiles)
-    with pytest.raises(NoRoomError, match="give light more memory"):
-        known_light_of_sides(small, view, chunks, goal, tiles)
+    seen = look(bench, view).seen
+    chunks = [each.at for each in seen]
+    blocks = known_light_of_sides(bench.renderer, view, chunks, goal, tiles).blocks
+    peeling = bench.renderer.peeling
+    assert peeling is not None
+    full: list[NoRoomError] = []
+
+    def check(_: PeelingRenderer) -> None:
+        if full:
+            raise full.pop()
+
+    monkeypatch.setattr(PeelingRenderer, "check_room", check)
+    for find, expected in (
+        (lambda: seen_on_sides(bench.renderer, view, goal, tiles), seen),
+        (lambda: known_light_of_sides(bench.renderer, view, chunks, goal, tiles).blocks, blocks),
+    ):
+        before = peeling.renderer_of(Side(1), view.isovalue)
+        full.extend(times * [NoRoomError("full")])
+        if times == 1:
+            assert find() == expected
+        else:
+            with pytest.raises(NoRoomError, match="full"):
+                find()
+        assert not full and peeling.renderer_of(Side(1), view.isovalue) is not before
