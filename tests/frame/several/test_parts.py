@@ -141,7 +141,7 @@ def refined(*parts: Part, target: float = 0.02) -> list[Side]:
 A, B, C = Side(0), Side(1), Side(1, True)
 
 
-def test_sides_take_steps_until_their_errors_add_up_to_the_target() -> None:
+def test_sides_take_steps_until_errors_add_up_to_the_target() -> None:
     """Three parts of one brightness may err by 3 · 0.02 together, as squares."""
     small = part_of(B, 0.02, measured=True), part_of(C, 0.02, measured=True)
     assert refined(part_of(A, 0.05, measured=True), *small) == []
@@ -151,7 +151,7 @@ def test_sides_take_steps_until_their_errors_add_up_to_the_target() -> None:
     assert refined(part_of(A, 0.06, measured=True, final=True), *small) == []
 
 
-def test_the_side_with_the_largest_error_takes_steps_before_others_are_measured() -> None:
+def test_the_worst_side_takes_steps_before_others_are_measured() -> None:
     """Its steps come first, so it takes them even where all together would be good enough."""
     others = part_of(B, 0.015, measured=False), part_of(C, 0.01, measured=False)
     assert refined(part_of(A, 0.03, measured=True), *others) == [A]

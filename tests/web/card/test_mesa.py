@@ -32,6 +32,7 @@ VIEW = {
     "RATIOS": 1,
     "LOBES": 3,
     "SHADING": 1,
+    "SHINE": 0,
     "COLOURS": 0,
 }
 LOCAL = {**VIEW, "LOBES": 0, "SHADING": 0, "SHADOW": 0, "FOG": 0, "HIGHLIGHT": 0}
@@ -45,7 +46,11 @@ SHADERS: dict[str, tuple[str, dict[str, Any]]] = {
     ),
     "colours of values": ("view.frag.glsl", {**VIEW, "COLOURS": 1}),
     "colours of labels": ("view.frag.glsl", {**VIEW, "COLOURS": 2}),
+    "shine": ("view.frag.glsl", {**VIEW, "SHINE": 1}),
+    "energy of shine": ("energy.frag.glsl", {}),
+    "three surfaces": ("view.frag.glsl", {**VIEW, "LOBES": 0, "SURFACES": 3}),
     "local model": ("view.frag.glsl", LOCAL),
+    "local model of two surfaces": ("view.frag.glsl", {**LOCAL, "SURFACES": 2}),
     "local model with a shadow and a highlight": (
         "view.frag.glsl",
         {**LOCAL, "SHADOW": 1, "HIGHLIGHT": 1},
@@ -59,6 +64,7 @@ SHADERS: dict[str, tuple[str, dict[str, Any]]] = {
     "filter": ("filter.frag.glsl", {**VIEW, "RATIOS": 1}),
     "filter of light as it is": ("filter.frag.glsl", {**VIEW, "RATIOS": 0}),
     "show": ("show.frag.glsl", {}),
+    "show of two surfaces": ("show.frag.glsl", {"SURFACES": 2}),
 }
 
 
