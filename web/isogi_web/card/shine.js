@@ -74,7 +74,7 @@ export class Shine {
     // A narrow lobe needs one ray, and none if it counts nothing.
     const wide = alpha > NARROW ? STRATA : 1;
     const strata = strength > 0 ? wide : 0;
-    // What is wider than the coarsest level is left to rays.
+    // Steep facets of a rough lobe mirror much below the horizon: leave these to rays.
     const coarsest = Math.PI / (surroundings.rows >> (surroundings.levels - 1));
     return {
       alpha,
@@ -90,7 +90,7 @@ export class Shine {
       spot: n === 0 ? [0.5, 0.5] : [halton(n, 2), halton(n, 3)],
       first_ray: n * strata ** 2,
       together: (strata ** 2 * (n === 0 ? 1 : SAMPLES)) / (n === 0 ? OVERLAP : OVERLAP_AT_REST),
-      tail: TAIL * Math.min(coarsest / (WIDTH_OF_TAIL * alpha), 1),
+      tail: TAIL * Math.max(1 - ((WIDTH_OF_TAIL * alpha) / coarsest) ** 2, 0),
     };
   }
 

@@ -9,6 +9,7 @@ vec3 shade_shiny(vec3 p, vec3 n, vec3 d, out float lacking) {
   mat3 frame = frame_about(n);
   vec3 v = -normalize(d * spacing) * frame, start = launch(p, n), light = vec3(0.0);
   v = normalize(vec3(v.xy, max(abs(v.z), LEAST_VIEW)));
+  vec3 factor = kept_energy(v) / float(strata * strata);
   // Ray -1 is the surface itself: as one loop shades all points, drivers compile `shade` once.
   for (int k = -1; k < strata * strata; k++) {
     bool mirrored = k >= 0;
@@ -17,7 +18,7 @@ vec3 shade_shiny(vec3 p, vec3 n, vec3 d, out float lacking) {
     if (mirrored) {
       vec3 l = sample_reflected(v, place_of(k));
       if (!(l.z > 0.0)) continue;
-      share = weight_of(v, l) / float(strata * strata);
+      share = factor * weight_of(v, l);
       w = frame * l;
       at = start;
       density = reflected_pdf(v, l);

@@ -49,14 +49,28 @@ vec3 schlick_fresnel(vec3 v, vec3 l) { return mix(head_on_shown(), vec3(1.0), gr
 // Light of a sampled direction l counts as much: the lobe over its density.
 vec3 weight_of(vec3 v, vec3 l) { return strength * seen_and_lit(v.z, l.z) / seen_from(v.z) * schlick_fresnel(v, l); }
 
-// Share of diffuse light that the lobe leaves to the eye at a cosine.
-vec3 light_below(float cosine) {
-  if (metal) return vec3(1.0 - strength);
+// Share of even light that the lobe mirrors to the eye at a cosine.
+vec3 energy_at(float cosine) {
   int steps = textureSize(energy, 0).x - 1;
   float place = float(steps) * sqrt(clamp(cosine, 0.0, 1.0));
   int k = min(int(place), steps - 1);
   vec2 shares = mix(texelFetch(energy, ivec2(k, 0), 0).rg, texelFetch(energy, ivec2(k + 1, 0), 0).rg, place - float(k));
-  return 1.0 - strength * (shares.x * head_on_shown() + shares.y);
+  return strength * (shares.x * head_on_shown() + shares.y);
+}
+
+// Share of diffuse light that the lobe leaves to the eye at a cosine.
+vec3 light_below(float cosine) { return metal ? vec3(1.0 - strength) : 1.0 - energy_at(cosine); }
+
+// Factor of the rays of a moving view towards v: few rays then mirror as much of even light as the
+// lobe does, although they miss what it loses below the horizon.
+vec3 kept_energy(vec3 v) {
+  if (resting) return vec3(1.0);
+  vec3 sum = vec3(0.0);
+  for (int k = 0; k < strata * strata; k++) {
+    vec3 l = sample_reflected(v, place_of(k));
+    if (l.z > 0.0) sum += weight_of(v, l);
+  }
+  return float(strata * strata) * energy_at(v.z) / max(sum, 1e-6);
 }
 
 // Direction of a path's next ray about the normal n, by the cosine, and its density. Source of the
