@@ -31,6 +31,7 @@ VIEW = {
     "SMOOTH": 1,
     "RATIOS": 1,
     "LOBES": 3,
+    "SHINE": 0,
     "SHADING": 1,
     "COLOURS": 0,
 }
@@ -45,6 +46,10 @@ SHADERS: dict[str, tuple[str, dict[str, Any]]] = {
     ),
     "colours of values": ("view.frag.glsl", {**VIEW, "COLOURS": 1}),
     "colours of labels": ("view.frag.glsl", {**VIEW, "COLOURS": 2}),
+    "shine": ("view.frag.glsl", {**VIEW, "SHINE": 1}),
+    "energy of shine": ("energy.frag.glsl", {}),
+    "several surfaces": ("view.frag.glsl", {**VIEW, "LOBES": 0, "SURFACES": 4}),
+    "local model of several surfaces": ("view.frag.glsl", {**LOCAL, "SURFACES": 2}),
     "local model": ("view.frag.glsl", LOCAL),
     "local model with a shadow and a highlight": (
         "view.frag.glsl",
@@ -59,6 +64,7 @@ SHADERS: dict[str, tuple[str, dict[str, Any]]] = {
     "filter": ("filter.frag.glsl", {**VIEW, "RATIOS": 1}),
     "filter of light as it is": ("filter.frag.glsl", {**VIEW, "RATIOS": 0}),
     "show": ("show.frag.glsl", {}),
+    "show of several surfaces": ("show.frag.glsl", {"SURFACES": 2}),
 }
 
 
