@@ -31,8 +31,8 @@ VIEW = {
     "SMOOTH": 1,
     "RATIOS": 1,
     "LOBES": 3,
-    "SHADING": 1,
     "SHINE": 0,
+    "SHADING": 1,
     "COLOURS": 0,
 }
 LOCAL = {**VIEW, "LOBES": 0, "SHADING": 0, "SHADOW": 0, "FOG": 0, "HIGHLIGHT": 0}
@@ -48,9 +48,9 @@ SHADERS: dict[str, tuple[str, dict[str, Any]]] = {
     "colours of labels": ("view.frag.glsl", {**VIEW, "COLOURS": 2}),
     "shine": ("view.frag.glsl", {**VIEW, "SHINE": 1}),
     "energy of shine": ("energy.frag.glsl", {}),
-    "three surfaces": ("view.frag.glsl", {**VIEW, "LOBES": 0, "SURFACES": 3}),
+    "several surfaces": ("view.frag.glsl", {**VIEW, "LOBES": 0, "SURFACES": 4}),
+    "local model of several surfaces": ("view.frag.glsl", {**LOCAL, "SURFACES": 2}),
     "local model": ("view.frag.glsl", LOCAL),
-    "local model of two surfaces": ("view.frag.glsl", {**LOCAL, "SURFACES": 2}),
     "local model with a shadow and a highlight": (
         "view.frag.glsl",
         {**LOCAL, "SHADOW": 1, "HIGHLIGHT": 1},
@@ -64,7 +64,7 @@ SHADERS: dict[str, tuple[str, dict[str, Any]]] = {
     "filter": ("filter.frag.glsl", {**VIEW, "RATIOS": 1}),
     "filter of light as it is": ("filter.frag.glsl", {**VIEW, "RATIOS": 0}),
     "show": ("show.frag.glsl", {}),
-    "show of two surfaces": ("show.frag.glsl", {"SURFACES": 2}),
+    "show of several surfaces": ("show.frag.glsl", {"SURFACES": 2}),
 }
 
 
