@@ -14,7 +14,6 @@ from typing import NamedTuple
 import numpy as np
 
 from isogi_core.bake.bake_spec import path_weights
-from isogi_core.bake.noise import RATE
 from isogi_core.bake.refine import add_paths, seeds_of, starts_at, starts_between
 from isogi_core.bake.texel_light import round_light
 from isogi_core.cache.wall_store import Planes, Side, planes_of, wall_layer
@@ -285,8 +284,9 @@ class WallTexels:
         """Predict the steps (see ``nearer``) that are left until the texels are final at a
         ``target``: the number of paths that each of them traces.
 
-        Noise falls with paths as texels' does (RATE). Along an edge, twice as fine texels are twice
-        as many, and halve the variance by interpolation.
+        Noise falls with the square root of the number of paths. Along an edge, twice as fine texels
+        are twice as many, and halve the variance by interpolation. Edges that the noise of the
+        first paths hides are not foreseen.
         """
         noise = self.relative(self.variance)
         # Interpolation is known as far as second differences show more than noise.
@@ -306,7 +306,7 @@ class WallTexels:
         # Their paths double until their noise is within the target.
         while noise > target and count < MAX_PATHS:
             steps.append(2.0 * asked * count)
-            noise *= 0.5 ** (1.0 / RATE)
+            noise *= 0.5**0.5
             count *= 2
         # Finer texels replace those at edges, and take as many paths each.
         edgy = unsharp.size - self._smooth_texels(np.maximum(unsharp, 0.0), target)

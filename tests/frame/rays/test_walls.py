@@ -300,12 +300,12 @@ def even(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def test_walls_foresee_the_paths_that_noise_takes() -> None:
-    """Paths grow with the noise to the power of 3/2, by doubling."""
+    """Paths grow with the square of the noise, by doubling."""
     texels = wall_texels(64, even, noise=0.1)
     error = texels.relative(texels.variance)
     assert texels.steps_left(1.1 * error) == []
     steps = texels.steps_left(error / 4.1)
-    assert len(steps) == math.ceil(1.5 * math.log2(4.1))
+    assert len(steps) == math.ceil(2.0 * math.log2(4.1))
     assert steps == [texels.paths * 2**n for n in range(len(steps))]
 
 
@@ -459,6 +459,7 @@ def test_walls_are_fine_before_any_texel_has_light(bench: Workbench) -> None:
 def test_walls_take_about_the_paths_that_they_foresaw(
     bench: Workbench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Edges of shadows that the first noise hides take half as many again or more."""
     traced = [0]
     grown = WallTexels.grown
 
@@ -478,7 +479,7 @@ def test_walls_take_about_the_paths_that_they_foresaw(
     while bench.renderer.render(view, goal).quality.waiting:
         assert bench.renderer.refine(view, goal)
         bake(bench, view) if bench.scene.surfaces.several else bench.bake(view)
-    assert 0.5 < walls.foreseen.pixels / traced[0] < 2.0
+    assert 0.4 < walls.foreseen.pixels / traced[0] < 2.0
 
 
 @pytest.mark.slow
