@@ -88,7 +88,10 @@ export class Status {
    */
   #fill(facts, since) {
     const done = facts ? doneOf(facts, (this.#clock.now() - since) / 1000) : 0;
-    this.#bar = { since, done: since === this.#bar.since ? Math.max(done, this.#bar.done) : done };
+    const before = since === this.#bar.since ? this.#bar.done : 0;
+    // A view may lack light again: the bar of a picture that is not final is never full.
+    const most = facts?.provisional === false ? 1 : ALMOST;
+    this.#bar = { since, done: Math.min(Math.max(done, before), most) };
     const bar = find(this.#root, "#progress");
     const shares = facts && sharesOf(facts, this.#bar.done);
     for (const state of STATES)
