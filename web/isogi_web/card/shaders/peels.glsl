@@ -27,9 +27,7 @@ int nearest_of(float t[SURFACES], bool opaque) {
 void add_layer(inout Seen seen, int k, float came, vec3 p, vec3 d, float weight) {
   float lacking;
   stand_on(k, came);
-  vec3 n = normal(p);
-  n = n == vec3(0.0) ? -normalize(d * spacing) : facing * n;
-  vec3 light = shade(p, n, lacking);
+  vec3 light = shade(p, find_normal(p, d), lacking);
 #if SHADING == 0
   light *= shares[k];
 #endif
@@ -40,11 +38,10 @@ void add_layer(inout Seen seen, int k, float came, vec3 p, vec3 d, float weight)
 // Sample the picture at a place, in pixels from its upper left corner. Its cover is the share of
 // light from behind that no surface lets pass.
 Seen see(vec2 at) {
-  vec3 o = start + at.x * startRight + at.y * startDown, d = corner + at.x * right + at.y * down;
-  vec2 part = look_through(o, d);
+  vec3 o, d;
+  vec2 part;
   Seen seen = Seen(vec3(0.0), vec3(0.0), vec3(0.0), 0.0, 0.0);
-  if (part.x > part.y) return seen;
-  o += part.x * d;
+  if (!find_ray(at, o, d, part)) return seen;
   if (part.x > 0.0 && opens(o)) {
     seen.light = paint(o);
     seen.cover = 1.0;
