@@ -13,7 +13,7 @@ import numpy as np
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats.chemistry.levels import level_in
-from isogi_core.files.formats.chemistry.sets import pick_set, turned
+from isogi_core.files.formats.chemistry.sets import pick_set, read_z_fastest
 from isogi_core.files.formats.chemistry.text import Text, text_of
 from isogi_core.files.formats.source import Source, reader
 from isogi_core.files.grid import Affine, Grid, read_as
@@ -135,4 +135,4 @@ def _orbitals(text: Text) -> tuple[str, ...]:
 def _slabs(source: Source, field: int) -> Iterator[np.ndarray]:
     with text_of(source) as text:
         cube = read_header(text)
-        yield turned(text, cube.shape, field, len(cube.names))
+        yield read_z_fastest(text, cube.shape, field, len(cube.names))

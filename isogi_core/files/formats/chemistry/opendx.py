@@ -16,7 +16,7 @@ import numpy as np
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats.chemistry.cube import ANGSTROM
-from isogi_core.files.formats.chemistry.sets import pick_set, turned
+from isogi_core.files.formats.chemistry.sets import pick_set, read_z_fastest
 from isogi_core.files.formats.chemistry.text import Text, text_of
 from isogi_core.files.formats.source import Source, reader
 from isogi_core.files.grid import Affine, Grid, read_as
@@ -171,7 +171,7 @@ def _slabs(source: Source, placed: Placed, part: int) -> Iterator[np.ndarray]:
     with text_of(source) as text:
         values = find_values(text, placed)
         if not values.binary:
-            yield turned(text, placed.shape, part, values.each)
+            yield read_z_fastest(text, placed.shape, part, values.each)
             return
         count = math.prod(placed.shape) * values.each
         found = text.binary(count, values.dtype)

@@ -40,16 +40,21 @@ MOST_LISTED = 12
 """Most names of data sets that a message lists."""
 
 
-def turned(text: Text, shape: tuple[int, int, int], field: int = 0, fields: int = 1) -> np.ndarray:
-    """The next numbers, which lie with z as the fastest, as an array (z, y, x) float64.
+def read_z_fastest(
+    text: Text, shape: tuple[int, int, int], field: int = 0, fields: int = 1
+) -> np.ndarray:
+    """Read one data set from the next numbers of a ``text``, in which z varies fastest: an array
+    (nz, ny, nx) float64, for a ``shape`` of nx, ny and nz voxels.
 
-    Of so many ``fields``, one number each at every voxel, it is the one at place ``field``.
+    If each voxel has numbers of several ``fields`` side by side, those of number ``field`` are
+    taken, counted from 0.
     """
     nx, ny, nz = shape
     found = np.empty((nx, ny, nz))
     flat = found.reshape(-1)
     at = 0
     for block in text.numbers(math.prod(shape) * fields):
+        # Blocks end anywhere: find the first number of the field in this one, and its voxel.
         first = -(at - field) % fields
         kept = block[first::fields]
         place = (at + first) // fields

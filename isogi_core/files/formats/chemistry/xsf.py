@@ -16,7 +16,7 @@ import numpy as np
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats.chemistry.cube import ANGSTROM
-from isogi_core.files.formats.chemistry.sets import pick_set, turned
+from isogi_core.files.formats.chemistry.sets import pick_set, read_z_fastest
 from isogi_core.files.formats.chemistry.text import Text, text_of
 from isogi_core.files.formats.source import Source, reader
 from isogi_core.files.grid import Affine, Grid, Periodic, Shape, read_as
@@ -230,7 +230,11 @@ MOST_BANDS = 4096
 def _read_bands(
     text: Text, count: int, frame: Frame, fermi: float | None
 ) -> tuple[tuple[str, ...], list[int]]:
-    """Return the names of the bands, and the places of those that cross the Fermi energy."""
+    """Read ``count`` bands of a BXSF file, each with one energy for every point of the ``frame``.
+
+    Returns their names, and the numbers, from 0, of those whose energies lie on both sides of the
+    Fermi energy; none if that is unknown. Raises VolumeError if bands are missing.
+    """
     if not 0 < count <= MOST_BANDS:
         raise VolumeError(f"'{text.name}' has {count} bands, which cannot be: write it again.")
     names, crossing = [], []
@@ -254,4 +258,4 @@ def _band_slabs(source: Source, chosen: int, shape: tuple[int, int, int]) -> Ite
         frame = _frame(text)
         for _ in range(chosen + 1):
             text.find(_BAND)
-        yield turned(text, frame.shape)[: shape[0], : shape[1], : shape[2]]
+        yield read_z_fastest(text, frame.shape)[: shape[0], : shape[1], : shape[2]]

@@ -23,14 +23,14 @@ uniform float unit; // Radiance of 1 in the light of texels.
 
 struct Seen { vec3 light, point, normal; float cover, lacking; };
 
-// Unit normal at p, outward on the side that is seen; if the field is flat there, against the ray d.
+// Unit normal at p on the side that is seen; if the field is flat there, against the ray d.
 vec3 find_normal(vec3 p, vec3 d) {
   vec3 n = normal(p);
   return n == vec3(0.0) ? -normalize(d * spacing) : facing * n;
 }
 
 // The ray o + t d at a place of the picture, in pixels from its upper left corner, from where it
-// enters what a window leaves; `part` is the way in and out from where it began. False if it misses.
+// enters what a window leaves; `part` is where it enters and leaves that. False if it misses.
 bool find_ray(vec2 at, out vec3 o, out vec3 d, out vec2 part) {
   o = start + at.x * startRight + at.y * startDown;
   d = corner + at.x * right + at.y * down;
@@ -63,7 +63,7 @@ Seen see(vec2 at) {
   vec2 part;
   Seen seen = Seen(vec3(0.0), vec3(0.0), vec3(0.0), 0.0, 0.0);
   if (!find_ray(at, o, d, part)) return seen;
-  // If the first point is solid, the ray meets a face of the window; otherwise look for the surface.
+  // If the first point is solid, it is on a face of the window; otherwise look for the surface.
   bool opened = part.x > 0.0 && is_solid(o);
   float t = opened ? 0.0 : cast_ray(o, d, UNKNOWN);
   if (t < 0.0 || part.x + t > part.y) return seen;
