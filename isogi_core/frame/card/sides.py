@@ -124,10 +124,10 @@ def known_light_of_sides(
 
     def find() -> dict[Index, Block]:
         blocks = dict[Index, Block]()
-        for side, some in by_side(renderer, chunks).items():
+        for side, of_side in by_side(renderer, chunks).items():
             light = SideLight.of(peeling, side, view.isovalue)
-            found = light.known(renderer, view, some, goal, tiles)
-            places = ((at[0] + light.behind, *at[1:]) for at in some)
+            found = light.known(renderer, view, of_side, goal, tiles)
+            places = ((at[0] + light.behind, *at[1:]) for at in of_side)
             blocks |= zip(places, found.blocks, strict=True)
             peeling.check_room()
         return blocks
@@ -208,8 +208,8 @@ class SideLight:
         self, view: View, chunks: Sequence[Index], goal: Goal, unit: float, tiles: Tiles
     ) -> Packed:
         """Pack ``chunks`` with the light of their texels under the light of a ``view``, in a
-        ``unit`` of radiance: see ``fold_chunks``. Raises Cancelled, and the errors of
-        ``Loader.ensure``.
+        ``unit`` of radiance, as ``fold_chunks`` of ``blocks.py`` does for one surface. Raises
+        Cancelled, and the errors of ``Loader.ensure``.
         """
         light = RotatedLight(self.renderer.caches.spec("gi"), replace(view, albedo=None))
         found, lit = self._read(chunks, light, goal, tiles)
@@ -221,6 +221,7 @@ class SideLight:
             around = dict(zip(every, found.versions, strict=True))
         about, values = fold_light(self.renderer, found, lit, light, tiles)
         scale = np.float32(light.spec.unit / unit)
+        # The chunks that are asked for come first, and then those around, which are not sent.
         blocks = pack(found, about, scale * values, FOLDED, self.behind)
         return Packed(
             tuple(

@@ -345,7 +345,7 @@ class Choice:
         none = np.zeros(len(self.errors))
         shares = none.copy()
         shares[self.places] = 1.0
-        # Add the neighbours of all pixels so far, ring after ring.
+        # Add the neighbours of all pixels that have a share so far, ring after ring.
         for share in RIM:
             near, _ = around.means((shares > 0.0)[:, None].astype(float), none)
             shares[(shares == 0.0) & (near[:, 0] > SAME_SURFACE)] = share

@@ -281,8 +281,8 @@ class WallTexels:
         return self.relative(self.unsharp) > 0.5 * target
 
     def steps_left(self, target: float) -> list[float]:
-        """Predict the steps (see ``nearer``) that are left until the texels are final at a
-        ``target``: the number of paths that each of them traces.
+        """Return the number of paths that each step (see ``nearer``) still ahead will trace, in
+        both halves, until the texels are final at a ``target``.
 
         Noise falls with the square root of the number of paths. Along an edge, twice as fine texels
         are twice as many, and halve the variance by interpolation. Edges that the noise of the

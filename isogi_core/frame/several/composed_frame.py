@@ -227,17 +227,18 @@ def to_refine(frame: ComposedFrame, errors: Mapping[Side, float], target: float)
     sides are measured and the squares of all errors add up to the allowed one.
     """
     allowed = (target * frame.true_mean) ** 2 * frame.surface
+    # Walls alone wait by themselves.
     found = [part for part in frame.parts if part.frame.quality.waiting]
     left = {part.side: in_picture(part, errors[part.side]) for part in frame.parts}
     left |= {part.side: in_picture(part, target) for part in found}
-    waiting = [part for part in frame.parts if part.frame.improving]
-    unmeasured = {part.side for part in waiting if part.measured is None or part.frame.outdated}
-    while waiting and (unmeasured or sum(error**2 for error in left.values()) > allowed):
-        part = max(waiting, key=lambda each: left[each.side])
+    improving = [part for part in frame.parts if part.frame.improving]
+    unmeasured = {part.side for part in improving if part.measured is None or part.frame.outdated}
+    while improving and (unmeasured or sum(error**2 for error in left.values()) > allowed):
+        part = max(improving, key=lambda each: left[each.side])
         if part.side in unmeasured:
             unmeasured.remove(part.side)
             continue
-        waiting.remove(part)
+        improving.remove(part)
         # A part that is at the target by itself takes no steps.
         if errors[part.side] > target:
             found.append(part)

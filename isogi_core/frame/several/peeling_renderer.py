@@ -105,8 +105,9 @@ class PeelingRenderer:
         return self.in_room(lambda: self._draw_sides(view, goal, tiles, watch))
 
     def in_room(self, work: Callable[[], Found]) -> Found:
-        """Return what ``work`` returns, which asks for renderers of sides, reads the light of one
-        isovalue, and checks the room of each side. Raises its errors, and NoRoomError.
+        """Run ``work``, which asks for renderers of sides, reads the light of one isovalue, and
+        checks the room of each side; if memory is full, drop the light of all sides and run it
+        again. Raises its errors, and NoRoomError if its light alone does not fit.
         """
         try:
             return work()

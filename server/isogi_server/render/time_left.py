@@ -57,8 +57,8 @@ def time_of_parts(
     drawing: Mapping[str, float],
     heavier: float = HEAVIER,
 ) -> TimeLeft:
-    """Estimate the time for the paths that are ``left`` to each part of a picture; see
-    ``time_of_paths``.
+    """Estimate the time for the paths that are ``left`` to each part of a picture, one part after
+    the other; see ``time_of_paths``.
 
     A part whose paths were not timed yet takes the mean pace of those that were; one whose texels
     have taken no paths yet is judged by those of all others.
@@ -89,9 +89,10 @@ def time_of_paths(
     texel's path divided by ``heavier``, and the estimate is less certain.
     """
     # Costs are seconds of one processor; a pixel's pace was measured with all threads at work.
-    each = spent.ahead(1.0) / threads
-    once = sum(seconds for stage, seconds in drawing.items() if stage not in WAITING_STAGES)
-    work = left.texels * each + left.pixels * (left.pace or each / heavier) + left.times * once
+    seconds_a_path = spent.ahead(1.0) / threads
+    drawing_once = sum(seconds for stage, seconds in drawing.items() if stage not in WAITING_STAGES)
+    pace = left.pace or seconds_a_path / heavier
+    work = left.texels * seconds_a_path + left.pixels * pace + left.times * drawing_once
     if left.pace is None:
         return TimeLeft.of(work, ASSUMED_WORK_RATIOS)
     return TimeLeft.of(work, log_normal_ratios(UNREHEARSED_SPREAD))

@@ -183,7 +183,7 @@ export class Texels {
     // Write the new run behind the others if it fits; else allocate larger textures for all runs.
     if (this.rows + run.rows > this.records.size[1]) this.#layOut();
     else this.#place(run);
-    this.#finish();
+    this.#uploadTable();
   }
 
   /**
@@ -214,7 +214,7 @@ export class Texels {
     for (let b = 0; b < this.table.length; b += 4) this.table.set([0, 0, NONE, NOWHERE], b);
     this.changed.fill(1);
     for (const run of this.runs) this.#place(run);
-    this.#finish();
+    this.#uploadTable();
   }
 
   /** Write a run behind the rows in use, and list its bricks in the table. @param {Run} run */
@@ -302,7 +302,7 @@ export class Texels {
   }
 
   /** Upload the layers of the table that changed, those side by side together. */
-  #finish() {
+  #uploadTable() {
     const [x, y, z] = this.shape;
     const layer = 4 * x * y;
     for (let from = this.changed.indexOf(1); from >= 0; from = this.changed.indexOf(1, from)) {

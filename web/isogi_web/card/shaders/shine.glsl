@@ -16,7 +16,7 @@ uniform vec3 turned[3];       // rows of the light's rotation in the box
 uniform int strata;           // Rays along each side of the square that maps to the lobe.
 uniform vec2 spot;            // Place of this sample's rays in their strata, 0 to 1.
 uniform int first_ray;        // Number of the first ray of this sample.
-uniform float together;       // Rays that share the sphere between them.
+uniform float together;       // Rays among which the lobe is divided.
 uniform vec3 reflecting;      // albedo of the surface
 // Share of the facets that are steepest, for which no ray stands: they mirror the surroundings
 // about all rays.
@@ -62,7 +62,7 @@ vec3 energy_at(float cosine) {
 vec3 light_below(float cosine) { return metal ? vec3(1.0 - strength) : 1.0 - energy_at(cosine); }
 
 // Factor of the rays of a moving view towards v: few rays then mirror as much of even light as the
-// lobe does, although they miss what it loses below the horizon.
+// lobe does, of which a larger share is below the horizon than of them.
 vec3 kept_energy(vec3 v) {
   if (resting) return vec3(1.0);
   vec3 sum = vec3(0.0);
