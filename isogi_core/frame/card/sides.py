@@ -14,7 +14,7 @@ import numpy as np
 from isogi_core.bake.noise import Goal
 from isogi_core.cache.scene_caches import Loader
 from isogi_core.frame.card.block_format import FOLDED, pack
-from isogi_core.frame.card.blocks import fold_light, known_light
+from isogi_core.frame.card.blocks import fold_light, known_light, packed
 from isogi_core.frame.card.chunk_texels import (
     ChunkTexels,
     find_occupied,
@@ -28,7 +28,7 @@ from isogi_core.frame.known_blocks import Block, Packed
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.several.mixed_reading import Level, mixed
-from isogi_core.frame.several.peeling_renderer import PeelingRenderer, SeenSide
+from isogi_core.frame.several.peeling_renderer import SeenSide
 from isogi_core.frame.shading import light_sources
 from isogi_core.frame.surface_renderer import SurfaceRenderer
 from isogi_core.frame.texel_reading import read_texels
@@ -125,7 +125,7 @@ def known_light_of_sides(
     def find() -> dict[Index, Block]:
         blocks = dict[Index, Block]()
         for side, of_side in by_side(renderer, chunks).items():
-            light = SideLight.of(peeling, side, view.isovalue)
+            light = SideLight(side, peeling.renderer_of(side, view.isovalue))
             found = light.known(renderer, view, of_side, goal, tiles)
             places = ((at[0] + light.behind, *at[1:]) for at in of_side)
             blocks |= zip(places, found.blocks, strict=True)
@@ -154,11 +154,6 @@ class SideLight:
 
     side: Side
     renderer: SurfaceRenderer
-
-    @classmethod
-    def of(cls, peeling: PeelingRenderer, side: Side, shown: float) -> "SideLight":
-        """Return the light of a ``side`` while the sliding surface shows the isovalue ``shown``."""
-        return cls(side, peeling.renderer_of(side, shown))
 
     @property
     def behind(self) -> int:
@@ -213,22 +208,15 @@ class SideLight:
         """
         light = RotatedLight(self.renderer.caches.spec("gi"), replace(view, albedo=None))
         found, lit = self._read(chunks, light, goal, tiles)
-        around: Mapping[Index, bytes] = {}
         # The filter reads texels of the chunks around, too.
         if found.reading.grainy.any():
             every = with_neighbours(chunks, self.renderer.prepared)
             found, lit = self._read(every, light, goal, tiles, filtered=chunks)
-            around = dict(zip(every, found.versions, strict=True))
         about, values = fold_light(self.renderer, found, lit, light, tiles)
         scale = np.float32(light.spec.unit / unit)
         # The chunks that are asked for come first, and then those around, which are not sent.
         blocks = pack(found, about, scale * values, FOLDED, self.behind)
-        return Packed(
-            tuple(
-                Block(data, version, self._others(at, around))
-                for at, version, data in zip(chunks, found.versions, blocks, strict=False)
-            )
-        )
+        return packed(found, blocks, len(chunks), self.renderer.prepared)
 
     def _read(
         self,
@@ -260,16 +248,6 @@ class SideLight:
             named = tuple(map(self._version, zip(*versions, strict=True)))
         reading, lit = mixed(self.levels, found)
         return ChunkTexels(tuple(chunks), named, texels, reading), lit
-
-    def _others(self, at: Index, versions: Mapping[Index, bytes]) -> Mapping[Index, bytes]:
-        """Return those of the ``versions`` that the light of the chunk ``at`` depends on besides
-        its own, by their chunks; none if there are no versions.
-        """
-        if not versions:
-            return {}
-        return {
-            other: versions[other] for other in with_neighbours([at], self.renderer.prepared)[1:]
-        }
 
     def _version(self, versions: Sequence[bytes]) -> bytes:
         """Return the version of light that is mixed of ``versions``, one of each level."""

@@ -481,9 +481,9 @@ class ViewWalls(Refinement[RoomLight]):
         """Return the paths that the walls in a ``shot`` are foreseen to take for its goal. All of
         them take a step together.
         """
-        room = self.of(shot)
-        seen = WallView.of(shot.gbuffer, shot.light).seen
-        steps = [room.side(side).texels.steps_left(shot.goal.error) for side in seen]
+        walls = WallView.of(shot.gbuffer, shot.light)
+        room = self._room(walls)
+        steps = [room.side(side).texels.steps_left(shot.goal.error) for side in walls.seen]
         paths = sum(sum(each) for each in steps)
         return PathsLeft(paths, times=max(map(len, steps), default=0), pace=room.pace)
 

@@ -309,7 +309,9 @@ class WallTexels:
             noise *= 0.5**0.5
             count *= 2
         # Finer texels replace those at edges, and take as many paths each.
-        edgy = unsharp.size - self._smooth_texels(np.maximum(unsharp, 0.0), target)
+        edgy = unsharp.size - self._smooth_texels(
+            np.sort(np.maximum(unsharp, 0.0), axis=None), target
+        )
         while across < MAX_WALL_TEXELS and blur > max(noise, 0.5 * target):
             asked = 4.0 * edgy * across / self.across
             blur *= 0.5**0.5
@@ -340,18 +342,17 @@ class WallTexels:
         the ``target``.
         """
         errors = np.sort(self.unsharp, axis=None)
-        first = self._smooth_texels(self.unsharp, target)
+        first = self._smooth_texels(errors, target)
         finer = WallTexels.begun(light, self.wall, self.side, 2 * self.across)
         return np.asarray(self.unsharp[self._near(finer)] >= errors[first])
 
-    def _smooth_texels(self, unsharp: np.ndarray, target: float) -> int:
-        """Return the number of texels that may stay as they are: those with the smallest variances
-        ``unsharp`` (rows, columns) by interpolation, as long as their sum is allowed by the
-        ``target``.
+    def _smooth_texels(self, errors: np.ndarray, target: float) -> int:
+        """Return the number of texels that may stay as they are: those with the smallest of the
+        ``errors`` (n,), variances by interpolation in ascending order, as long as their sum is
+        allowed by the ``target``.
 
         The last texel never counts, so that a step changes something.
         """
-        errors = np.sort(unsharp, axis=None)
         allowed = errors.size * (0.25 * target * float(self.luminance.mean())) ** 2
         return min(int(np.searchsorted(np.cumsum(errors), allowed)), errors.size - 1)
 

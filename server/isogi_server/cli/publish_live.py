@@ -17,7 +17,7 @@ from isogi_core.files.spelling import shortest
 from isogi_core.frame.card.blocks import raw_scale
 from isogi_core.frame.card.coding import Coding, coding_for
 from isogi_core.frame.card.obstacles import Obstacle
-from isogi_core.frame.features import SHINE
+from isogi_core.frame.features import SEVERAL_SURFACES, SHINE
 from isogi_core.frame.rays.control_pixels import TotalError
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import View
@@ -59,7 +59,7 @@ enough is taken.
 """
 
 SIDES_NOT_PUBLISHED = Obstacle(
-    "several surfaces",
+    SEVERAL_SURFACES.name,
     "A folder holds the light of one surface's outer side alone.",
 )
 SHINE_NOT_PUBLISHED = Obstacle(
