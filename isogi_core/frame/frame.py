@@ -378,7 +378,7 @@ class Frame:
         sooner than texels.
         """
         known = self.quality.known
-        if known is None or known.by_paths is not None or not self.provisional:
+        if known is None or known.lit_by is not None or not self.provisional:
             return False
         return self.unlit_texels > QUICK_TEXELS
 
@@ -389,9 +389,14 @@ class Frame:
 
     @property
     def by_paths(self) -> bool:
-        """True if paths of its pixels light the picture, and no texels."""
+        """True if paths of its pixels light the picture, or their transfer, and no texels."""
         known = self.quality.known
-        return known is not None and bool(known.by_paths)
+        return known is not None and known.goes_without_texels
+
+    @property
+    def transferred(self) -> int:
+        """The number of paths of each point whose transfer lights the picture; 0 if none does."""
+        return self.quality.known.transferred if self.quality.known else 0
 
     @property
     def refinable(self) -> bool:

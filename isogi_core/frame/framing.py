@@ -8,7 +8,7 @@ from isogi_core.frame.frame import Frame, Quality
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import version_of
 from isogi_core.frame.projected_texels import ProjectedReading, Projection
-from isogi_core.frame.rays.control_pixels import expected_error
+from isogi_core.frame.rays.control_pixels import expected_error, planned_error
 from isogi_core.frame.rays.picture_state import PictureState
 from isogi_core.frame.shot import Shot
 from isogi_core.frame.texel_reading import Lacking, Reading
@@ -55,7 +55,7 @@ def frame_of(
     projection = None
     needed = 0
     short = 0
-    by_paths = checked is not None and bool(checked.by_paths)
+    by_paths = checked is not None and checked.goes_without_texels
     # A picture by paths of its pixels lacks no light of texels, even if it shows some meanwhile.
     if texels and reading and not by_paths:
         lacking = Lacking(texels, reading, framebuffer)
@@ -66,6 +66,8 @@ def frame_of(
     expected = 0.0
     if texels and view.shading == "gi":
         expected = expected_error(scene, gbuffer.isovalue)
+    elif checked is not None and checked.transferred:
+        expected = planned_error(scene)
 
     # Name all that the picture depends on and that ``version_of`` leaves out: the light that was
     # read, and window and glow, which are no part of a view's repr.

@@ -35,6 +35,7 @@ from isogi_core.frame.texel_shading import FilteredLight, StandIn, TexelShading
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.frame.view_checks import ViewChecks, WorkLeft, goal_of_texels, is_checked
 from isogi_core.frame.view_texels import ViewTexels
+from isogi_core.kernels.shading.framebuffer import Framebuffer
 from isogi_core.kernels.shading.lobes import add_lobes
 from isogi_core.lru_cache import LruCache
 from isogi_core.model.material import DULL
@@ -265,6 +266,9 @@ class SurfaceRenderer:
             # All pixels have light from paths of their own: texels are not looked at.
             make = partial(self._show_paths, known, shot)
             light = b""
+        elif known is not None and known.lit_by == "transfer":
+            make = partial(self._show_transfer, known, shot)
+            light = b""
         else:
             # Find the texels around the surface points.
             with shot.watch.stage("texels"):
@@ -285,6 +289,27 @@ class SurfaceRenderer:
         framebuffer = empty_framebuffer(shot.gbuffer)
         known.own.show(framebuffer, shot.gbuffer, shot.light)
         return frame_of(shot, framebuffer, checked=known)
+
+    def _show_transfer(self, known: PictureState, shot: Shot) -> Frame:
+        """Draw a ``shot`` whose points are lit by their transfer, as its check has ``known``, with
+        the light that some of its pixels have of their own.
+        """
+        gbuffer = shot.gbuffer
+        framebuffer = empty_framebuffer(gbuffer)
+        known.base.show(framebuffer, gbuffer, shot.light)
+        self._add_lobes(shot, framebuffer)
+        known.own.put(framebuffer, gbuffer, shot.light, shot.tiles)
+        return frame_of(shot, framebuffer, checked=known)
+
+    def _add_lobes(self, shot: Shot, framebuffer: Framebuffer) -> None:
+        """Add the light of lobes to a picture: by shadow rays from the pixels, as it is sharper
+        than harmonics. Raises Cancelled.
+        """
+        light = shot.light
+        if light.spec.lobes:
+            with shot.watch.stage("lobes"):
+                straight = self.lobes(light, shot.gbuffer, shot.tiles)
+                add_lobes(shot.gbuffer.pixels, straight.lit, light.spec.unit, framebuffer)
 
     def _light_key(self, texels: ViewTexels, shot: Shot) -> Hashable | None:
         """Return a key that changes whenever light in the picture of a ``shot`` may have changed,
@@ -308,11 +333,7 @@ class SurfaceRenderer:
         shine = b""
         goal = goal_of_texels(shot.goal, shot.view, known)
         reading, framebuffer = self.texel_shading.picture(texels, replace(shot, goal=goal))
-        # Lobes are lit by shadow rays from the pixels, as they are sharper than texels.
-        if light.spec.lobes:
-            with shot.watch.stage("lobes"):
-                straight = self.lobes(light, gbuffer, tiles)
-                add_lobes(gbuffer.pixels, straight.lit, light.spec.unit, framebuffer)
+        self._add_lobes(shot, framebuffer)
         # Texels hold light for a white surface: colours by data are multiplied in at the pixels.
         colour_surface(shot, framebuffer)
         # Shine depends on the direction to the eye, and is added by rays from the pixels.
@@ -320,7 +341,7 @@ class SurfaceRenderer:
             with shot.watch.stage("shine"):
                 shine = self._shine.put(shot, framebuffer)
         # Pixels that got light from paths of their own show it in place of the light of texels.
-        if known is not None and known.by_paths:
+        if known is not None and known.lit_by == "paths":
             known.own.show(framebuffer, gbuffer, light)
         elif known is not None:
             known.own.put(framebuffer, gbuffer, light, tiles)

@@ -3,6 +3,7 @@ the work that is left.
 """
 
 import math
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -32,7 +33,15 @@ from isogi_core.frame.rays.picture_plan import (
     Prices,
     rungs_above,
 )
-from isogi_core.frame.rays.picture_state import PictureState
+from isogi_core.frame.rays.picture_state import LitBy, PictureState
+from isogi_core.frame.rays.point_transfer import (
+    FIRST_SAMPLES,
+    FIRST_SHOWN_SAMPLES,
+    SHOWN_FACTOR,
+    PointTransfer,
+    may_keep_transfer,
+    transfer_key,
+)
 from isogi_core.frame.refinement import PathsLeft, Refinement
 from isogi_core.frame.shading import texel_disagreement
 from isogi_core.frame.shot import Shot
@@ -96,24 +105,32 @@ class ViewChecks(Refinement[PictureCheck]):
     def of(self, shot: Shot) -> PictureCheck:
         """Return the check of the picture of a ``shot``, kept or begun now: see ``Refinement``."""
         error = shot.goal.error
-        by_paths = None if may_go_without_texels(shot) else False
-        begun = PictureState(Goal.checked(error), by_paths=by_paths)
+        lit_by: LitBy | None = None if may_go_without_texels(shot) else "texels"
+        begun = PictureState(Goal.checked(error), lit_by=lit_by)
         return self._kept.get(check_key(shot.view, error), lambda: PictureCheck(shot.light, begun))
 
     def advance(self, found: PictureCheck, frame: Frame, shot: Shot, prices: Prices) -> bool:
         """Take one step of the check ``found``: see ``Refinement``."""
         # Decide first if the picture is to read texels at all.
-        if frame.undecided and found.known.by_paths is None:
+        if frame.undecided and found.known.lit_by is None:
             self._decide(found, frame, shot, prices)
             return True
         # A picture that began otherwise goes on so, even if light of its texels is lost.
-        if found.known.by_paths is None:
+        if found.known.lit_by is None:
             found.light_by_texels()
+        # More paths of the transfer come before the picture is measured.
+        if found.known.lit_by == "transfer":
+            prices = prices.of_transfer
+            if found.known.transferred < found.known.goal.samples:
+                self._transfer(found, shot)
+                return True
         # Pixels whose light grows were chosen before: nothing is drawn by the uncertainty then.
         if found.growing:
             uncertainty = found.known.uncertainty
-        elif found.known.by_paths:
+        elif found.known.goes_without_texels:
             uncertainty = np.hypot(frame.pixel_noise, doubt_of_carried(found, frame))
+            if found.known.lit_by == "transfer":
+                uncertainty = np.hypot(uncertainty, doubt_of_transfer(frame))
         else:
             uncertainty = self._uncertainty(frame, found, shot)
         # Light that was traced for other views comes first, as it costs no paths. A picture that
@@ -130,6 +147,10 @@ class ViewChecks(Refinement[PictureCheck]):
         taken = found.advance(frame, uncertainty, shot.tiles, prices)
         if found.known.own is not before and not found.growing:
             self._keep_traced(found, shot)
+        # If all points get light of their own, their transfer spares nothing: under other
+        # rotations, paths alone are to light the view.
+        if found.known.lit_by == "transfer" and found.grows_everywhere:
+            self._keep_transfer(PointTransfer.begun(shot).given_up, shot)
         return taken
 
     def _decide(self, check: PictureCheck, frame: Frame, shot: Shot, prices: Prices) -> None:
@@ -161,9 +182,48 @@ class ViewChecks(Refinement[PictureCheck]):
         if scouted.mean <= 0.0 or alone + controls_of(target) >= texels:
             check.light_by_texels()
             return
+        # Light that has turned since paths lit the view, and may turn on, is that of its transfer.
+        if self._may_transfer(shot):
+            self._transfer(check, shot)
+            return
         error = math.hypot(noise_after(FIRST_LEVEL, of_texel), frame.quality.expected)
         choice = all_points(points, error, target, scouted.mean, effort)
         check.light_by_paths(choice, carried)
+
+    def _may_transfer(self, shot: Shot) -> bool:
+        """Return True if the transfer of its points is to light the picture of a ``shot``: if the
+        light has turned since paths lit the view. Otherwise keep how the light was turned.
+        """
+        if not may_keep_transfer(shot):
+            return False
+        begun: PointTransfer = self._kept.get(
+            transfer_key(shot.view), partial(PointTransfer.begun, shot)
+        )
+        turned = begun.samples > 0 or begun.began != shot.view.light
+        return turned and not begun.vain
+
+    def _transfer(self, check: PictureCheck, shot: Shot) -> None:
+        """Light the picture of a ``shot`` by the transfer of its points, with some more paths of
+        each if it has fewer than its ``check`` asks for. Raises Cancelled.
+        """
+        wanted = max(check.known.goal.samples, FIRST_SAMPLES)
+        key = transfer_key(shot.view)
+        transfer: PointTransfer = self._kept.get(key, partial(PointTransfer.begun, shot))
+        # The first paths are shown soon.
+        if transfer.samples < wanted:
+            until = min(max(SHOWN_FACTOR * transfer.samples, FIRST_SHOWN_SAMPLES), wanted)
+            traced = len(shot.gbuffer.points) * (until - transfer.samples)
+            begun = time.perf_counter()
+            transfer = transfer.grown(shot, until)
+            check.pace = (time.perf_counter() - begun) / max(traced, 1)
+            self._keep_transfer(transfer, shot)
+        check.light_by_transfer(transfer.lit(shot), max(wanted, transfer.samples))
+
+    def _keep_transfer(self, transfer: PointTransfer, shot: Shot) -> None:
+        """Keep a ``transfer`` of the points of a ``shot`` in place of the former one."""
+        key = transfer_key(shot.view)
+        self._kept.drop(key)
+        self._kept.get(key, lambda: transfer)
 
     def _carried(self, shot: Shot, uncertainty: np.ndarray) -> PixelLight:
         """Return the light that the points of a ``shot`` take over from earlier views; light of no
@@ -218,7 +278,7 @@ class ViewChecks(Refinement[PictureCheck]):
     def require_texels(self, view: View, goal: Goal) -> None:
         """Have a view's picture read texels, even if paths of its pixels light it now."""
         check = self.held(view, goal)
-        if check is not None and check.known.by_paths is not False:
+        if check is not None and check.known.lit_by != "texels":
             with check.lock:
                 check.light_by_texels()
 
@@ -280,6 +340,11 @@ class ViewChecks(Refinement[PictureCheck]):
             growth = check.growing
             growing = growth.left if growth else 0.0
             ahead = check.ahead
+            # Rungs of a transfer are paths of pixels, as no worker bakes them.
+            known = check.known
+            if known.lit_by == "transfer":
+                rungs = max(known.goal.samples - known.transferred, 0) * len(known.base.places)
+                return PathsLeft(growing + rungs + ahead.pixels + ahead.texels, 0.0, 0, check.pace)
             return PathsLeft(growing + ahead.pixels, ahead.texels, ahead.times, check.pace)
         return None
 
@@ -307,6 +372,16 @@ def doubt_of_carried(check: PictureCheck, frame: Frame) -> np.ndarray:
     # Count half of the largest error that is allowed: few points have all of it.
     doubt[places] = 0.5 * MOST_BENT * check.known.goal.error * luminance
     return doubt
+
+
+def doubt_of_transfer(frame: Frame) -> np.ndarray:
+    """Return the uncertainty of luminance of the points of a ``frame`` that their transfer lights,
+    besides its noise: half of what the plan expects of light that harmonics cut off; (m,).
+
+    It is the same for all points, as nothing tells where the light is sharper than harmonics.
+    """
+    light = frame.luminance(frame.gbuffer.pixels)
+    return np.full(len(light), 0.5 * frame.quality.expected * float(light.mean()))
 
 
 def goal_of_texels(goal: Goal, view: View, known: PictureState | None) -> Goal:

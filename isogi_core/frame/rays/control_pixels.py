@@ -340,14 +340,17 @@ def measure_total(squares: np.ndarray, mean: float) -> TotalError:
     return TotalError(likely, low, high, count)
 
 
+def planned_error(scene: Scene) -> float:
+    """Return the relative error besides noise that the plan of a ``scene`` expects."""
+    return math.hypot(*(error for _, error in scene.plan.errors))
+
+
 def expected_error(scene: Scene, isovalue: Isovalue) -> float:
     """Return the relative error besides noise that is expected at an ``isovalue``: by the plan
     of the ``scene``, and by the survey of its volume.
     """
     surveyed = scene.projection
-    return math.hypot(
-        min(surveyed.error(isovalue), surveyed.allowed), *(error for _, error in scene.plan.errors)
-    )
+    return math.hypot(min(surveyed.error(isovalue), surveyed.allowed), planned_error(scene))
 
 
 def predict_total(noise: float, expected: float) -> TotalError:

@@ -21,6 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from isogi_core.bake.noise import Goal
 from isogi_core.bake.texel_light import next_level
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer
@@ -65,6 +66,12 @@ STRICTER = 0.9
 DOUBTFUL = 0.5
 """Share of the target below which no attempt aims. If the measured error is smaller than that,
 the controls are in doubt, not the light.
+"""
+
+
+FILTERED_ERROR = 1.4
+"""Squared error of filtered light of points over its variance, as the filter leaves a bias of 0.5
+to 0.7 of the noise.
 """
 
 
@@ -186,7 +193,7 @@ class PictureCheck:
         # Light that was carried over from other views is a fraction of a pixel aside. If it keeps
         # the picture from its target, the light of these pixels is traced anew.
         attempts = CARRIED_ATTEMPTS
-        if self.known.by_paths:
+        if self.known.lit_by == "paths":
             attempts = CARRIED_ATTEMPTS_BY_PATHS
         if len(self.known.carried) and self.known.attempt >= attempts:
             self._drop_carried(frame.gbuffer, tiles)
@@ -221,11 +228,11 @@ class PictureCheck:
 
     def light_by_texels(self) -> None:
         """Have the picture read texels; forget paths that light it alone."""
-        if self.known.by_paths:
-            self.known = PictureState(self.known.goal)
+        if self.known.goes_without_texels:
+            self.known = PictureState(Goal.checked(self.known.goal.error))
             self.growing = None
         else:
-            self.known = replace(self.known, by_paths=False)
+            self.known = replace(self.known, lit_by="texels")
 
     def light_by_paths(self, choice: Choice, carried: PixelLight) -> None:
         """Have all points of a picture lit by paths of their own, until they are as precise as a
@@ -233,9 +240,18 @@ class PictureCheck:
         with it.
         """
         self.whole = choice
-        self.known = replace(self.known, own=carried, carried=carried.places, by_paths=True)
+        self.known = replace(self.known, own=carried, carried=carried.places, lit_by="paths")
         self.growing = Growth(choice, carried, shown=True, earlier=carried.places)
         self.ahead = Ahead(2.0 * paths_for(self.known.goal.error) * FIRST_CONTROLS, times=1)
+
+    def light_by_transfer(self, base: PixelLight, samples: int) -> None:
+        """Show the ``base``, light of all points by their transfer, which is to have at least
+        ``samples`` paths of each point before the picture is measured.
+        """
+        goal = self.known.goal
+        goal = goal._replace(samples=max(goal.samples, samples))
+        self.known = replace(self.known, goal=goal, base=base, lit_by="transfer")
+        self.ahead = Ahead(2.0 * paths_for(goal.error) * FIRST_CONTROLS, times=1)
 
     def decline(self) -> None:
         """Go on without finer texels: memory has no room for them."""
@@ -405,6 +421,9 @@ class PictureCheck:
         # More samples reduce the noise of texels that may still climb, and nothing else. Weigh all
         # numbers of rungs, for these texels and for finer ones.
         falling = np.minimum(noise_of_climbers(frame) * noise, errors)
+        # The filter of pixels makes a part of the noise a bias, which falls with it.
+        if frame.transferred:
+            falling = np.minimum(FILTERED_ERROR * noise, errors)
         plans = by_rungs(pixels, errors, falling, climbs, chunks)
         if texels and not (known.attempt or self.declined):
             plans += by_finer(
@@ -481,7 +500,7 @@ class PictureCheck:
         self.growing = replace(growth, light=light, traced=0)
         # A picture by paths alone has no other light to show meanwhile. It is not final before the
         # growth ends, whatever the controls say that the growth was chosen by.
-        if self.known.by_paths:
+        if self.known.lit_by == "paths":
             carried = self.known.carried[np.isin(self.known.carried, growth.light.places)]
             self.known = replace(self.known, own=light, carried=carried, drawn=0)
         # The light is good enough: show it, and drop the controls, which measured the picture
@@ -493,10 +512,17 @@ class PictureCheck:
                 own=light,
                 carried=known.carried,
                 attempt=known.attempt + 1,
-                by_paths=known.by_paths,
+                lit_by=known.lit_by,
+                base=known.base,
             )
             self.growing = None
         return True
+
+    @property
+    def grows_everywhere(self) -> bool:
+        """True if light is being traced for all points of the picture."""
+        growth = self.growing
+        return growth is not None and len(growth.choice.places) == len(growth.choice.errors)
 
     @property
     def untouched(self) -> bool:
@@ -520,8 +546,10 @@ class PictureCheck:
         known = self.known
         own = known.own.without(known.carried, self.light, gbuffer, tiles)
         # A picture by paths has nothing else to show until the first step of the new growth.
-        if known.by_paths and self.whole is not None:
+        if known.lit_by == "paths" and self.whole is not None:
             self.known = replace(known, drawn=0)
             self.growing = Growth(self.whole, own, shown=True, earlier=own.places)
         else:
-            self.known = PictureState(known.goal, own=own, attempt=known.attempt, by_paths=False)
+            self.known = PictureState(
+                known.goal, own=own, attempt=known.attempt, lit_by=known.lit_by, base=known.base
+            )

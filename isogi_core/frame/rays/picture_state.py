@@ -2,12 +2,18 @@
 
 import hashlib
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 
 from isogi_core.bake.noise import Goal
 from isogi_core.frame.rays.control_pixels import ControlPixels
-from isogi_core.frame.rays.own_light import PixelLight
+from isogi_core.frame.rays.own_light import REPLICAS, PixelLight
+
+LitBy = Literal["texels", "paths", "transfer"]
+"""What lights the pixels of a picture: the texels around them, paths of their own alone, or the
+transfer of their points (``PointTransfer``).
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,8 +28,8 @@ class PictureState:
     - ``own``: light that pixels have from paths of their own.
     - ``carried`` (k,): rows of the surface points whose light was carried over from other views.
     - ``attempt``: number of times that pixels have got light of their own; each has new controls.
-    - ``by_paths``: True if the picture shows paths of its pixels and reads no texels; None before
-      that was decided.
+    - ``lit_by``: what lights the picture; None before that was decided.
+    - ``base``: light of all points by their transfer, without that of lobes, if that lights it.
     - ``ended``: True if the last step found nothing to do.
     - ``drawn``: the rung on which the controls were drawn.
     - ``paths``: number of paths in each half of a control.
@@ -35,7 +41,8 @@ class PictureState:
     own: PixelLight = field(default_factory=PixelLight.none)
     carried: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))
     attempt: int = 0
-    by_paths: bool | None = False
+    lit_by: LitBy | None = "texels"
+    base: PixelLight = field(default_factory=PixelLight.none)
     ended: bool = False
     drawn: int = 0
     paths: int = 0
@@ -43,14 +50,23 @@ class PictureState:
     @property
     def nbytes(self) -> int:
         """The size of its arrays in bytes."""
-        return (
-            self.controls.nbytes + self.uncertainty.nbytes + self.own.nbytes + self.carried.nbytes
-        )
+        light = self.own.nbytes + self.base.nbytes
+        return self.controls.nbytes + self.uncertainty.nbytes + light + self.carried.nbytes
+
+    @property
+    def goes_without_texels(self) -> bool:
+        """True if the picture reads no texels."""
+        return self.lit_by in ("paths", "transfer")
 
     @property
     def covers(self) -> bool:
         """True if each surface point of a picture by paths has light of its own."""
-        return bool(self.by_paths) and len(self.own.places) == len(self.own.expected) > 0
+        return self.lit_by == "paths" and len(self.own.places) == len(self.own.expected) > 0
+
+    @property
+    def transferred(self) -> int:
+        """The number of paths of each point whose transfer lights the picture."""
+        return REPLICAS * self.base.count
 
     @property
     def outdated(self) -> bool:
@@ -59,13 +75,17 @@ class PictureState:
 
     @property
     def version(self) -> bytes:
-        """The name of the light that pixels have of their own, equal if and only if their light is;
-        empty if no pixel has any.
+        """The name of the light that pixels have of their own and by their transfer, equal if and
+        only if their light is; empty if no pixel has any.
         """
         own = self.own
+        name = b""
+        # The points of a picture and the number of their paths determine their transfer.
+        if self.transferred:
+            name += b"transfer" + repr(self.transferred).encode()
         if not len(own.places):
-            return b""
-        name = repr(own.count).encode() + hashlib.sha256(own.places.data).digest()
+            return name
+        name += repr(own.count).encode() + hashlib.sha256(own.places.data).digest()
         # Points may have different numbers of paths (``Growth.next``).
         if own.estimate.unequal:
             name += hashlib.sha256(np.ascontiguousarray(own.estimate.counts).data).digest()
