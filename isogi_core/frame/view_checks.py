@@ -166,6 +166,11 @@ class ViewChecks(Refinement[PictureCheck]):
         if math.isinf(prices.alone):
             check.light_by_texels()
             return
+        # A transfer that is at hand lights the picture at once.
+        transfer = self._kept.held(transfer_key(shot.view))
+        if transfer is not None and transfer.samples:
+            self._transfer(check, shot)
+            return
         target = shot.goal.error
         scouted = check.scout(frame.gbuffer, shot.tiles)
         effort = scouted.effort(PATHS_RATE)

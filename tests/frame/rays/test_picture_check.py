@@ -38,6 +38,7 @@ from isogi_core.frame.rays.picture_plan import (
     Prices,
     by_finer,
     by_rungs,
+    climbs_of,
     controls_to,
     noise_of_climbers,
     rungs_at_once,
@@ -272,10 +273,19 @@ def test_only_noise_of_texels_that_climb_may_be_lost() -> None:
     error = np.array([0.0, 0.01, 0.3, 0.4], np.float32)
     samples = np.array([0, 64, 16, 16], np.int32)
     lacking = SimpleNamespace(reading=reading_of(error, samples))
-    frame: Any = SimpleNamespace(quality=SimpleNamespace(lacking=lacking))
+    frame: Any = SimpleNamespace(quality=SimpleNamespace(lacking=lacking), transferred=0)
     assert frame.quality.lacking.reading.noisy.tolist() == [False, False, True, True]
     assert noise_of_climbers(frame) == pytest.approx(0.25 / 0.2501)
-    assert noise_of_climbers(SimpleNamespace(quality=Quality())) == 0.0  # type: ignore[arg-type]
+    without: Any = SimpleNamespace(quality=Quality(), transferred=0)
+    assert noise_of_climbers(without) == 0.0
+
+
+def test_the_transfer_of_points_climbs_as_texels_do() -> None:
+    """All of its noise falls, and each rung takes as many paths as there were."""
+    gbuffer = SimpleNamespace(pixels=np.arange(100))
+    frame: Any = SimpleNamespace(quality=Quality(), transferred=64, gbuffer=gbuffer)
+    assert noise_of_climbers(frame) == 1.0
+    assert climbs_of(frame, 64, 0.02)[:3] == [0.0, 6400.0, 19200.0]
 
 
 @pytest.mark.parametrize(("noisy", "step"), [(3, "controls"), (1000, "rung")])
@@ -294,7 +304,7 @@ def test_a_rung_is_for_noise_that_it_takes_away(
     total = TotalError(0.019, 0.017, 0.022, 512)
     quality = SimpleNamespace(lacking=SimpleNamespace(reading=reading), known=state)
     frame: Any = SimpleNamespace(
-        quality=quality, noise=0.02, measured=total, surface=9, final=False
+        quality=quality, noise=0.02, measured=total, surface=9, final=False, transferred=0
     )
     unused: Any = None
     PictureCheck(unused, state).advance(frame, np.empty(0), unused, PRESENT)
