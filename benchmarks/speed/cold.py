@@ -174,7 +174,7 @@ class ColdRace:
     def figures(self, repeats: int, views: int, peers: bool) -> dict[str, Any]:
         """All figures of the scene: medians of ``repeats`` cold views."""
         cold_views = []
-        rows: dict[str, list[Spent]] = {}
+        rows: dict[str, list[Seen]] = {}
         for number in range(repeats):
             last = number == repeats - 1
             seen, rows = self.serve(f"served-{number}", views if last else 1)
@@ -208,12 +208,12 @@ class ColdRace:
         camera = scene.camera(FIRST_AZIMUTH, CAMERA["elevation"], CAMERA["distance"], CAMERA["fov"])
         return View(scene.isovalue, camera, width=self.size, height=self.size)
 
-    def serve(self, name: str, views: int) -> tuple[Seen, dict[str, list[Spent]]]:
+    def serve(self, name: str, views: int) -> tuple[Seen, dict[str, list[Seen]]]:
         """A cold view, and two rows of views after it if there is more than one."""
         with serving(str(self.file), str(self.folder / name), self.workers) as server:
             time.sleep(SETTLING_SECONDS)
             seen = self.watch(server, {"azimuth": FIRST_AZIMUTH})
-            rows: dict[str, list[Spent]] = {}
+            rows: dict[str, list[Seen]] = {}
             if views > 1:
                 cameras = [FIRST_AZIMUTH + AZIMUTH_STEP * i for i in range(1, views)]
                 rows["cameras"] = [self.watch(server, {"azimuth": each}) for each in cameras]
@@ -393,14 +393,18 @@ def core_seconds(pid: int) -> float:
     return total
 
 
-def row_figures(name: str, row: Sequence[Spent], first: float) -> dict[str, Any]:
-    """Costs of the views after the first one, in core-seconds and over those of the ``first``."""
+def row_figures(name: str, row: Sequence[Seen], first: float) -> dict[str, Any]:
+    """Costs of the views after the first one, in core-seconds and over those of the ``first``, and
+    seconds to the first picture of each without provisional parts.
+    """
     cores = [each.cores for each in row]
     return {
         f"{name}: core-s a view": statistics.fmean(cores),
         f"{name}: worst over the first": max(cores) / first,
         f"{name}: mean over the first": statistics.fmean(cores) / first,
+        f"{name}: median over the first": statistics.median(cores) / first,
         f"{name}: seconds a view": statistics.fmean(each.wall for each in row),
+        f"{name}: first lit picture, s": statistics.median(each.lit for each in row),
     }
 
 
