@@ -132,6 +132,11 @@ class LruCache(Generic[K]):
             self._total = 0
 
     @property
+    def most(self) -> int:
+        """The limit of the bytes that are kept."""
+        return self._most
+
+    @property
     def nbytes(self) -> int:
         """Bytes of all that is kept, as last counted, with OVERHEAD_BYTES for each result."""
         return self._total

@@ -11,6 +11,7 @@ from isogi_core.bake.texel_light import Light
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.pixel_rays import variance_of_mean
+from isogi_core.frame.rays.point_transfer import times_light
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.scene_plan import GLOW_KIND, GlowLayer, Layer
 from isogi_core.model.volume import Isovalue
@@ -166,16 +167,10 @@ def light_of_halves(turned: RotatedLight, place: Place, samples: int) -> np.ndar
     void = np.zeros(len(place[3]), np.bool_)
     halves = light_of_glow(turned, place, samples)
     layers = tuple(layer for layer in spec.plan.layers if layer.kind != GLOW_KIND)
-    for layer, (sums, _) in zip(
-        layers, sample_transfer(layers, place, void, spec, 0, samples), strict=True
-    ):
-        # Radiance is the dot product of transfer and light, over the orders that both have. Sums
-        # over the paths of a half become means.
-        light = turned.albedo[:, None] * turned.light_of(layer)
-        n = min(layer.order**2, light.shape[1])
-        colours = turned.colours_of(layer, sums)
-        halves += np.einsum("mhcn,cn->mhc", colours[..., :n], light[:, :n]) / (samples // 2)
-    return halves
+    found = sample_transfer(layers, place, void, spec, 0, samples)
+    sums = tuple(each for each, _ in found)
+    # Sums over the paths of a half become means.
+    return np.asarray(halves + times_light(sums, layers, turned) / (samples // 2))
 
 
 def light_of_glow(turned: RotatedLight, place: Place, samples: int) -> np.ndarray:

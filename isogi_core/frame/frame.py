@@ -370,7 +370,7 @@ class Frame:
             return self.surface - self.settled == self.quality.waiting
         # Paths of pixels need no light of texels.
         ended = self.final or self.given_up
-        return not ended and (self.undecided or self.by_paths or not self.provisional)
+        return not ended and (self.undecided or self.goes_without_texels or not self.provisional)
 
     @property
     def undecided(self) -> bool:
@@ -388,7 +388,7 @@ class Frame:
         return sum(demand.effort.unlit for stage in self.stages for demand in stage.demands)
 
     @property
-    def by_paths(self) -> bool:
+    def goes_without_texels(self) -> bool:
         """True if paths of its pixels light the picture, or their transfer, and no texels."""
         known = self.quality.known
         return known is not None and known.goes_without_texels
@@ -397,6 +397,13 @@ class Frame:
     def transferred(self) -> int:
         """The number of paths of each point whose transfer lights the picture; 0 if none does."""
         return self.quality.known.transferred if self.quality.known else 0
+
+    @property
+    def noise_of_transfer(self) -> float:
+        """The sum of the variances of luminance by the transfer of points; 0 if none lights the
+        picture.
+        """
+        return float(self.quality.known.base.variance.sum()) if self.quality.known else 0.0
 
     @property
     def refinable(self) -> bool:

@@ -14,7 +14,7 @@ the step and the surface that a view shows, by isovalue, camera and size (``surf
 | ``LobeLight`` | a surface, the rotation of the light, and whether it moves |
 | ``PictureCheck`` | a surface, the light's rotation, albedo, shine, glow and a target error |
 | ``TracedLight`` | an isovalue, a window, the light's rotation, albedo and glow |
-| ``PointTransfer`` | a surface |
+| ``ViewTransfer`` | a surface |
 | ``RoomLight`` | an isovalue, an albedo and a glow |
 | ``SurfaceSeen`` | as ``PictureCheck`` |
 | ``ShineLight`` | a surface, shine, albedo, the light's rotation, glow, and whether it moves |

@@ -23,6 +23,7 @@ from isogi_core.frame.rays.lobe_light import LobeLight, ShadowStarts, find_lobes
 from isogi_core.frame.rays.picture_check import PictureCheck
 from isogi_core.frame.rays.picture_plan import Prices
 from isogi_core.frame.rays.picture_state import PictureState
+from isogi_core.frame.rays.point_transfer import ViewTransfer
 from isogi_core.frame.rays.shine_light import ShineLight, ViewShine
 from isogi_core.frame.rays.through_matter import SurfaceSeen, ViewThrough
 from isogi_core.frame.rays.wall_light import RoomLight, ViewWalls
@@ -73,8 +74,8 @@ class DrawnPicture:
     def nbytes(self) -> int:
         """The size in bytes of its pictures, and of the light of pixels that it holds."""
         own = 0
-        if self.frame.quality.known is not None:
-            own = self.frame.quality.known.own.nbytes
+        if (known := self.frame.quality.known) is not None:
+            own = known.own.nbytes + known.base.nbytes
         return own + sum(part.nbytes for part in self.frame.framebuffer)
 
 
@@ -115,7 +116,7 @@ class SurfaceRenderer:
         changing = dict.fromkeys(
             (Reading, FilteredLight, LobeLight, ShineLight, DrawnPicture), self._most_of_kind
         )
-        growing = PictureCheck, RoomLight, ShineLight, SurfaceSeen
+        growing = PictureCheck, RoomLight, ShineLight, SurfaceSeen, ViewTransfer
         most_of_views = most - int((COMMON + BLOCKS_SHARE) * most)
         self.kept: LruCache[Any] = LruCache(most_of_views, changing, lasting=growing)
         shown = levels or (Level(caches),)

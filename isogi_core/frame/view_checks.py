@@ -3,7 +3,6 @@ the work that is left.
 """
 
 import math
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -29,6 +28,7 @@ from isogi_core.frame.rays.picture_check import PictureCheck
 from isogi_core.frame.rays.picture_plan import (
     AWAITED,
     HEAVIER,
+    LIGHTER,
     SHARED_PRICES,
     Prices,
     rungs_above,
@@ -36,10 +36,9 @@ from isogi_core.frame.rays.picture_plan import (
 from isogi_core.frame.rays.picture_state import LitBy, PictureState
 from isogi_core.frame.rays.point_transfer import (
     FIRST_SAMPLES,
-    FIRST_SHOWN_SAMPLES,
-    SHOWN_FACTOR,
-    PointTransfer,
+    ViewTransfer,
     may_keep_transfer,
+    next_shown,
     transfer_key,
 )
 from isogi_core.frame.refinement import PathsLeft, Refinement
@@ -67,6 +66,12 @@ to 5 after 16 samples.
 WORTH_CARRYING = 4
 """Number of first measurements of a picture whose paths light of other views must spare, to be
 carried over.
+"""
+
+
+TRANSFER_SHARE = 0.5
+"""Share of the bytes that are kept of views which the transfer of one view may take: that of 80,000
+points takes 28 to 50 MB.
 """
 
 
@@ -115,9 +120,10 @@ class ViewChecks(Refinement[PictureCheck]):
         if frame.undecided and found.known.lit_by is None:
             self._decide(found, frame, shot, prices)
             return True
-        # A picture that began otherwise goes on so, even if light of its texels is lost.
         if found.known.lit_by is None:
-            found.light_by_texels()
+            self._begin(found, shot, prices)
+            if found.known.lit_by == "transfer":
+                return True
         # More paths of the transfer come before the picture is measured.
         if found.known.lit_by == "transfer":
             prices = prices.of_transfer
@@ -149,9 +155,19 @@ class ViewChecks(Refinement[PictureCheck]):
             self._keep_traced(found, shot)
         # If all points get light of their own, their transfer spares nothing: under other
         # rotations, paths alone are to light the view.
-        if found.known.lit_by == "transfer" and found.grows_everywhere:
-            self._keep_transfer(PointTransfer.begun(shot).given_up, shot)
+        if found.known.lit_by == "transfer" and found.takes_all_points:
+            self._transfer_of(shot).give_up(shot)
         return taken
+
+    def _begin(self, check: PictureCheck, shot: Shot, prices: Prices) -> None:
+        """Begin the ``check`` of a picture whose texels have light: by its transfer if paths lit
+        the view before its light turned, else by its texels, even if light of these is lost later.
+        Raises Cancelled.
+        """
+        if not math.isinf(prices.alone) and self._has_turned(shot):
+            self._transfer(check, shot)
+        else:
+            check.light_by_texels()
 
     def _decide(self, check: PictureCheck, frame: Frame, shot: Shot, prices: Prices) -> None:
         """Decide if paths of its pixels light a picture whose texels are not baked yet, in place of
@@ -166,9 +182,8 @@ class ViewChecks(Refinement[PictureCheck]):
         if math.isinf(prices.alone):
             check.light_by_texels()
             return
-        # A transfer that is at hand lights the picture at once.
-        transfer = self._kept.held(transfer_key(shot.view))
-        if transfer is not None and transfer.samples:
+        # Light that has turned since paths lit the view, and may turn on, is that of its transfer.
+        if self._has_turned(shot):
             self._transfer(check, shot)
             return
         target = shot.goal.error
@@ -187,48 +202,44 @@ class ViewChecks(Refinement[PictureCheck]):
         if scouted.mean <= 0.0 or alone + controls_of(target) >= texels:
             check.light_by_texels()
             return
-        # Light that has turned since paths lit the view, and may turn on, is that of its transfer.
-        if self._may_transfer(shot):
-            self._transfer(check, shot)
-            return
+        # Other rotations of the light may come.
+        self._transfer_of(shot)
         error = math.hypot(noise_after(FIRST_LEVEL, of_texel), frame.quality.expected)
         choice = all_points(points, error, target, scouted.mean, effort)
         check.light_by_paths(choice, carried)
 
-    def _may_transfer(self, shot: Shot) -> bool:
-        """Return True if the transfer of its points is to light the picture of a ``shot``: if the
-        light has turned since paths lit the view. Otherwise keep how the light was turned.
-        """
-        if not may_keep_transfer(shot):
-            return False
-        begun: PointTransfer = self._kept.get(
-            transfer_key(shot.view), partial(PointTransfer.begun, shot)
+    def _transfer_of(self, shot: Shot) -> ViewTransfer:
+        """Return the transfer of the points of a ``shot``, kept or begun now."""
+        found: ViewTransfer = self._kept.get(
+            transfer_key(shot.view), lambda: ViewTransfer(shot.view.light)
         )
-        turned = begun.samples > 0 or begun.began != shot.view.light
-        return turned and not begun.vain
+        return found
+
+    def _has_turned(self, shot: Shot) -> bool:
+        """Return True if the light of a ``shot`` has turned since paths lit the view, so that the
+        transfer of its points is to light it.
+        """
+        found: ViewTransfer | None = self._kept.held(transfer_key(shot.view))
+        most = int(TRANSFER_SHARE * self._kept.most)
+        return found is not None and found.serves(shot) and may_keep_transfer(shot, most)
 
     def _transfer(self, check: PictureCheck, shot: Shot) -> None:
         """Light the picture of a ``shot`` by the transfer of its points, with some more paths of
         each if it has fewer than its ``check`` asks for. Raises Cancelled.
         """
+        transfer = self._transfer_of(shot)
+        shown = check.known.transferred
+        # A transfer that was given up meanwhile grows no more.
+        if shown and transfer.is_vain(shot):
+            check.end_transfer()
+            return
+        # The first paths are shown soon. If memory had no room for the transfer, it begins anew,
+        # and must not show less than before.
         wanted = max(check.known.goal.samples, FIRST_SAMPLES)
-        key = transfer_key(shot.view)
-        transfer: PointTransfer = self._kept.get(key, partial(PointTransfer.begun, shot))
-        # The first paths are shown soon.
-        if transfer.samples < wanted:
-            until = min(max(SHOWN_FACTOR * transfer.samples, FIRST_SHOWN_SAMPLES), wanted)
-            traced = len(shot.gbuffer.points) * (until - transfer.samples)
-            begun = time.perf_counter()
-            transfer = transfer.grown(shot, until)
-            check.pace = (time.perf_counter() - begun) / max(traced, 1)
-            self._keep_transfer(transfer, shot)
-        check.light_by_transfer(transfer.lit(shot), max(wanted, transfer.samples))
-
-    def _keep_transfer(self, transfer: PointTransfer, shot: Shot) -> None:
-        """Keep a ``transfer`` of the points of a ``shot`` in place of the former one."""
-        key = transfer_key(shot.view)
-        self._kept.drop(key)
-        self._kept.get(key, lambda: transfer)
+        samples = max(transfer.newest.samples, shown)
+        until = max(min(next_shown(samples), wanted), shown)
+        newest = transfer.grow(shot, until)
+        check.light_by_transfer(newest.lit(shot), max(wanted, newest.samples))
 
     def _carried(self, shot: Shot, uncertainty: np.ndarray) -> PixelLight:
         """Return the light that the points of a ``shot`` take over from earlier views; light of no
@@ -313,7 +324,7 @@ class ViewChecks(Refinement[PictureCheck]):
         plan's error and from the noise of its texels, which read this ``light``. For ``effort`` see
         ``foreseen``.
         """
-        if frame.quality.lacking is None and not frame.by_paths:
+        if frame.quality.lacking is None and not frame.goes_without_texels:
             return WorkLeft(PathsLeft())
         measuring = self.measuring_left(frame, goal, light)
         foreseen = self.foreseen(frame, goal, effort)._replace(pace=measuring.foreseen.pace)
@@ -345,11 +356,12 @@ class ViewChecks(Refinement[PictureCheck]):
             growth = check.growing
             growing = growth.left if growth else 0.0
             ahead = check.ahead
-            # Rungs of a transfer are paths of pixels, as no worker bakes them.
+            # Paths of a transfer are traced here, as those of pixels are, and no worker bakes them.
             known = check.known
             if known.lit_by == "transfer":
-                rungs = max(known.goal.samples - known.transferred, 0) * len(known.base.places)
-                return PathsLeft(growing + rungs + ahead.pixels + ahead.texels, 0.0, 0, check.pace)
+                rungs = max(known.goal.samples - known.transferred, 0) * len(known.base.variance)
+                lighter = LIGHTER * (rungs + ahead.texels)
+                return PathsLeft(growing + ahead.pixels + lighter, 0.0, ahead.times, check.pace)
             return PathsLeft(growing + ahead.pixels, ahead.texels, ahead.times, check.pace)
         return None
 

@@ -57,6 +57,7 @@ from isogi_core.frame.rays.picture_plan import (
 )
 from isogi_core.frame.rays.picture_state import PictureState
 from isogi_core.frame.rays.pixel_filter import FILTER_PASSES, Surroundings
+from isogi_core.frame.rays.point_transfer import TransferredLight
 from isogi_core.frame.tiles import Tiles
 
 STRICTER = 0.9
@@ -136,14 +137,15 @@ class PictureCheck:
         return self.known.nbytes + (growth.nbytes if growth else 0)
 
     def is_shown(self, frame: Frame) -> bool:
-        """Return True if a ``frame`` was drawn with the controls and the rung that are known
-        now.
+        """Return True if a ``frame`` was drawn with the controls, the rung and the transfer that
+        are known now.
         """
         shown = frame.quality.known
         return (
             shown is not None
             and shown.controls is self.known.controls
             and shown.goal == self.known.goal
+            and shown.transferred == self.known.transferred
         )
 
     def advance(self, frame: Frame, uncertainty: np.ndarray, tiles: Tiles, prices: Prices) -> bool:
@@ -244,7 +246,7 @@ class PictureCheck:
         self.growing = Growth(choice, carried, shown=True, earlier=carried.places)
         self.ahead = Ahead(2.0 * paths_for(self.known.goal.error) * FIRST_CONTROLS, times=1)
 
-    def light_by_transfer(self, base: PixelLight, samples: int) -> None:
+    def light_by_transfer(self, base: TransferredLight, samples: int) -> None:
         """Show the ``base``, light of all points by their transfer, which is to have at least
         ``samples`` paths of each point before the picture is measured.
         """
@@ -252,6 +254,11 @@ class PictureCheck:
         goal = goal._replace(samples=max(goal.samples, samples))
         self.known = replace(self.known, goal=goal, base=base, lit_by="transfer")
         self.ahead = Ahead(2.0 * paths_for(goal.error) * FIRST_CONTROLS, times=1)
+
+    def end_transfer(self) -> None:
+        """Go on with the paths of the transfer that are shown: it grows no more."""
+        goal = self.known.goal._replace(samples=self.known.transferred)
+        self.known = replace(self.known, goal=goal)
 
     def decline(self) -> None:
         """Go on without finer texels: memory has no room for them."""
@@ -420,10 +427,11 @@ class PictureCheck:
             chunks = len(frame.quality.lacking.texels.chunks)
         # More samples reduce the noise of texels that may still climb, and nothing else. Weigh all
         # numbers of rungs, for these texels and for finer ones.
-        falling = np.minimum(noise_of_climbers(frame) * noise, errors)
+        noisy = noise_of_climbers(frame)
         # The filter of pixels makes a part of the noise a bias, which falls with it.
         if frame.transferred:
-            falling = np.minimum(FILTERED_ERROR * noise, errors)
+            noisy *= FILTERED_ERROR
+        falling = np.minimum(noisy * noise, errors)
         plans = by_rungs(pixels, errors, falling, climbs, chunks)
         if texels and not (known.attempt or self.declined):
             plans += by_finer(
@@ -519,10 +527,12 @@ class PictureCheck:
         return True
 
     @property
-    def grows_everywhere(self) -> bool:
-        """True if light is being traced for all points of the picture."""
+    def takes_all_points(self) -> bool:
+        """True if all points of the picture have light of their own, or it is being traced."""
         growth = self.growing
-        return growth is not None and len(growth.choice.places) == len(growth.choice.errors)
+        if growth is not None:
+            return len(growth.choice.places) == len(growth.choice.errors)
+        return len(self.known.own.places) == len(self.known.own.expected) > 0
 
     @property
     def untouched(self) -> bool:

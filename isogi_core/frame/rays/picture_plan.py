@@ -178,10 +178,12 @@ def noise_of_climbers(frame: Frame) -> float:
     """Return the share of a picture's noise variance that comes from texels which would take more
     samples; from 0 to 1.
 
-    It is 1 if the transfer of its points lights it, and else 0 if it reads no texels.
+    If the transfer of its points lights it, that is all noise but that of lobes; it is 0 if the
+    picture reads no texels otherwise.
     """
     if frame.transferred:
-        return 1.0
+        shown = float((frame.pixel_noise**2).sum())
+        return min(frame.noise_of_transfer / max(shown, 1e-300), 1.0)
     if (lacking := frame.quality.lacking) is None:
         return 0.0
     reading = lacking.reading

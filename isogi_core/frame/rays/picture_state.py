@@ -8,11 +8,12 @@ import numpy as np
 
 from isogi_core.bake.noise import Goal
 from isogi_core.frame.rays.control_pixels import ControlPixels
-from isogi_core.frame.rays.own_light import REPLICAS, PixelLight
+from isogi_core.frame.rays.own_light import PixelLight
+from isogi_core.frame.rays.point_transfer import TransferredLight
 
 LitBy = Literal["texels", "paths", "transfer"]
 """What lights the pixels of a picture: the texels around them, paths of their own alone, or the
-transfer of their points (``PointTransfer``).
+transfer of their points (``ViewTransfer``).
 """
 
 
@@ -29,7 +30,7 @@ class PictureState:
     - ``carried`` (k,): rows of the surface points whose light was carried over from other views.
     - ``attempt``: number of times that pixels have got light of their own; each has new controls.
     - ``lit_by``: what lights the picture; None before that was decided.
-    - ``base``: light of all points by their transfer, without that of lobes, if that lights it.
+    - ``base``: light of all points by their transfer, if that lights the picture.
     - ``ended``: True if the last step found nothing to do.
     - ``drawn``: the rung on which the controls were drawn.
     - ``paths``: number of paths in each half of a control.
@@ -42,7 +43,7 @@ class PictureState:
     carried: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))
     attempt: int = 0
     lit_by: LitBy | None = "texels"
-    base: PixelLight = field(default_factory=PixelLight.none)
+    base: TransferredLight = field(default_factory=TransferredLight.none)
     ended: bool = False
     drawn: int = 0
     paths: int = 0
@@ -66,7 +67,7 @@ class PictureState:
     @property
     def transferred(self) -> int:
         """The number of paths of each point whose transfer lights the picture."""
-        return REPLICAS * self.base.count
+        return self.base.samples
 
     @property
     def outdated(self) -> bool:

@@ -8,67 +8,48 @@ largest errors get light from paths of their own: see ``PictureCheck``.
 """
 
 import math
-from dataclasses import dataclass, replace
+import threading
+from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
 import numpy as np
 
 from isogi_core.bake.refine import Place, sample_transfer
+from isogi_core.bake.texel_light import next_level
 from isogi_core.frame.gbuffer import GBuffer, surface_key
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.control_pixels import paths_of_truth
-from isogi_core.frame.rays.own_light import REPLICAS, PixelLight
+from isogi_core.frame.rays.own_light import REPLICAS, PixelLight, settle
 from isogi_core.frame.rays.pixel_rays import PATH_POINTS, passes
 from isogi_core.frame.rays.point_paths import Estimate
 from isogi_core.frame.shot import Shot
-from isogi_core.kernels.shading.surface_points import SurfacePoints
-from isogi_core.kernels.tracing.cast import TracedSurface
+from isogi_core.kernels.shading.framebuffer import Framebuffer
 from isogi_core.model.scene_plan import Layer
 from isogi_core.model.view import Quaternion, View
+from isogi_core.model.volume import Isovalue
 
 FIRST_SAMPLES = 64
-"""Paths of each point after which a picture is measured for the first time. Fewer leave too much
-noise for any target below 5 %; they also cost no more than a few times the paths of the controls.
+"""Paths of each point before a picture is measured for the first time. Fewer leave too much noise
+for any target below 5 %, and cost no more than a few times the paths of the controls.
 """
 
 FIRST_SHOWN_SAMPLES = 16
-SHOWN_FACTOR = 4
-"""Paths of each point in the first step, which is shown, and the factor on them in each further
-one.
-"""
+"""Paths of each point in the first step, which is shown."""
 
-MOST_BYTES = 64 << 20
-"""Size of a transfer above which none is kept: that of a view with a third of 512 × 512 pixels on
-the surface is 20 to 60 MB.
-"""
-
-NO_TEXEL = -1
-"""Column of the lattice by which random numbers of points differ from those of all texels."""
+OUTSIDE_LATTICE = -1
+"""Lattice index along x of points that are no texels: it gives them random numbers of their own."""
 
 
 @dataclass(frozen=True, eq=False)
 class PointTransfer:
-    """Transfer of the m points of a view, which was first lit under the rotation ``began``.
+    """Transfer of m points after ``samples`` paths of each.
 
     ``sums`` has an array (m, REPLICAS, channels, n²) float32 for each layer of the plan: sums of
-    harmonics over ``samples`` / REPLICAS paths of each replica. It is ``vain`` if all points took
-    light of their own nevertheless.
+    harmonics over the paths of each replica.
     """
 
-    began: Quaternion
-    sums: tuple[np.ndarray, ...]
+    sums: tuple[np.ndarray, ...] = ()
     samples: int = 0
-    vain: bool = False
-
-    @classmethod
-    def begun(cls, shot: Shot) -> Self:
-        """Return the transfer of a ``shot`` before any path was traced."""
-        return cls(shot.view.light, ())
-
-    @property
-    def given_up(self) -> Self:
-        """The transfer without its sums, marked as vain."""
-        return replace(self, sums=(), samples=0, vain=True)
 
     @property
     def nbytes(self) -> int:
@@ -76,17 +57,26 @@ class PointTransfer:
         return sum(each.nbytes for each in self.sums)
 
     def grown(self, shot: Shot, until: int) -> Self:
-        """Return the transfer with ``until`` paths of each point of a ``shot``. Raises
-        Cancelled.
+        """Return the transfer with ``until`` paths of each point of a ``shot``: a level of samples.
+        Raises Cancelled.
         """
+        # Add level after level, so that rounding does not depend on the steps that were taken.
+        found = self
+        while found.samples < until:
+            found = found._on_next_level(shot)
+        return found
+
+    def _on_next_level(self, shot: Shot) -> Self:
+        """Return the transfer with twice as many paths, or the first ones."""
         layers = layers_of(shot.light)
         gbuffer = shot.gbuffer
+        isovalue = gbuffer.isovalue
+        points = gbuffer.shown(shot.tiles)
+        samples = next_level(self.samples)
+        more = samples - self.samples
         # Paths do not branch: branches pay for texels, whose first samples are few and dear.
         spec = shot.light.spec
         spec = replace(spec, plan=replace(spec.plan, branches=1))
-        traced = gbuffer.surface.traced(shot.tiles.run)
-        points = gbuffer.shown(shot.tiles)
-        more = until - self.samples
         # Copy the sums, as another thread may read them.
         if self.samples:
             sums = [each.copy() for each in self.sums]
@@ -95,9 +85,8 @@ class PointTransfer:
 
         # Trace the paths of some points together, and add their harmonics to those of each layer.
         def _piece(a: int, b: int) -> None:
-            place = place_of(points.part(slice(a, b)), traced)
-            void = np.zeros(b - a, bool)
-            found = sample_transfer(layers, place, void, spec, self.samples, more)
+            place = place_of(points.pixels[a:b], points.points[a:b], points.normals[a:b], isovalue)
+            found = sample_transfer(layers, place, np.zeros(b - a, bool), spec, self.samples, more)
             for kept, layer, (halves, _) in zip(sums, layers, found, strict=True):
                 kept[a:b] += halves[..., : layer.order**2]
 
@@ -109,47 +98,152 @@ class PointTransfer:
                 some.stop - some.start,
                 PATH_POINTS,
             )
-        return replace(self, sums=tuple(sums), samples=until)
+        return replace(self, sums=tuple(sums), samples=samples)
 
-    def lit(self, shot: Shot) -> PixelLight:
-        """Return the light of all points of a ``shot`` without that of lobes, filtered. Raises
-        Cancelled.
-        """
+    def lit(self, shot: Shot) -> "TransferredLight":
+        """Return the light of all points of a ``shot``. Raises Cancelled."""
         m = len(shot.gbuffer.points)
-        light = np.zeros((m, REPLICAS, 3))
-        for layer, sums in zip(layers_of(shot.light), self.sums, strict=True):
-            light += times_light(sums, layer, shot.light)
-        light *= shot.light.albedo
-        # The sums of replicas stand for those of light that paths gathered.
-        counts = np.full(m, self.samples // REPLICAS)
+        light = np.empty((m, REPLICAS, 3))
+
+        def _piece(a: int, b: int) -> None:
+            some = tuple(each[a:b] for each in self.sums)
+            light[a:b] = times_light(some, layers_of(shot.light), shot.light)
+
+        shot.tiles.run(_piece, m, shot.tiles.even(m))
+        # Filter it as if paths had gathered it.
         places = np.arange(m)
+        estimate = Estimate(light, np.full(m, self.samples // REPLICAS))
         paths = paths_of_truth(shot.light, shot.gbuffer, places, shot.tiles)
-        return PixelLight.of(places, Estimate(light, counts), paths, np.zeros(m))
+        filtered = PixelLight.of(places, estimate, paths, np.zeros(m))
+        return TransferredLight(filtered.light.astype(np.float32), filtered.variance, self.samples)
 
 
-def times_light(sums: np.ndarray, layer: Layer, light: RotatedLight) -> np.ndarray:
-    """Multiply the ``sums`` (m, replicas, channels, n²) of a ``layer`` by a rotated ``light``;
-    return linear RGB (m, replicas, 3).
+@dataclass(frozen=True, eq=False)
+class TransferredLight:
+    """Light of the m points of a view by their transfer after ``samples`` paths of each, without
+    that of lobes: filtered ``light`` (m, 3), linear RGB, and the ``variance`` (m,) of its
+    luminance.
     """
-    met = light.light_of(layer)
-    # A layer of one channel reflects all colours alike.
-    if layer.channels == 1:
-        return np.asarray(sums[:, :, 0] @ met.T.astype(np.float32), np.float64)
-    return np.asarray(np.einsum("mrcn,cn->mrc", light.colours_of(layer, sums), met))
+
+    light: np.ndarray
+    variance: np.ndarray
+    samples: int = 0
+
+    @classmethod
+    def none(cls) -> Self:
+        """Return light of no points."""
+        return cls(np.empty((0, 3), np.float32), np.empty(0))
+
+    @property
+    def nbytes(self) -> int:
+        """The size of its arrays in bytes."""
+        return self.light.nbytes + self.variance.nbytes
+
+    def show(self, framebuffer: Framebuffer, gbuffer: GBuffer, light: RotatedLight) -> None:
+        """Write the light into a picture of a G-buffer. Its pixels become final."""
+        framebuffer.radiance[gbuffer.pixels] = np.clip(self.light, 0.0, np.finfo(np.float32).max)
+        settle(framebuffer, gbuffer.pixels, self.variance, light)
 
 
-def place_of(points: SurfacePoints, traced: TracedSurface) -> Place:
-    """Return ``points`` of a picture as places of texels, whose random numbers are their own."""
-    m = len(points.pixels)
-    names = np.zeros((m, 3), np.int32)
-    names[:, 0] = points.pixels
-    names[:, 2] = NO_TEXEL
-    return (
-        names,
-        np.ascontiguousarray(points.points.T, np.float64),
-        np.ascontiguousarray(points.normals.T, np.float64),
-        np.full(m, traced.isovalue, np.float64),
-    )
+@dataclass(eq=False)
+class ViewTransfer:
+    """The transfer of the points of one view, which all rotations of its light share. Safe to use
+    from many threads.
+
+    - ``before``: rotation of the light when paths lit the view.
+    - ``first``: rotation for which the first paths of the transfer were traced; None if none were.
+    - ``newest``: the transfer with the most paths.
+    - ``vain``: the largest target error at which all points took light of their own under the first
+      rotation, so that their transfer spared nothing.
+    """
+
+    before: Quaternion
+    first: Quaternion | None = None
+    newest: PointTransfer = field(default_factory=PointTransfer)
+    vain: float = 0.0
+    _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
+
+    @property
+    def nbytes(self) -> int:
+        """The size of its arrays in bytes."""
+        return self.newest.nbytes
+
+    def serves(self, shot: Shot) -> bool:
+        """Return True if it is to light the picture of a ``shot``."""
+        turned = self.first is not None or shot.view.light != self.before
+        return turned and not self.is_vain(shot)
+
+    def is_vain(self, shot: Shot) -> bool:
+        """Return True if it was given up for pictures with the target of a ``shot``."""
+        return shot.goal.error <= self.vain
+
+    def grow(self, shot: Shot, until: int) -> PointTransfer:
+        """Trace paths until each point of a ``shot`` has ``until``, unless it has; return the
+        transfer. A thread that asks meanwhile waits. Raises Cancelled.
+        """
+        with self._lock:
+            if self.newest.samples < until:
+                if self.first is None:
+                    self.first = shot.view.light
+                self.newest = self.newest.grown(shot, until)
+            return self.newest
+
+    def give_up(self, shot: Shot) -> None:
+        """Note that all points of a ``shot`` took light of their own. If it was the first that the
+        transfer lit, no other one of its target error will use it.
+
+        Later ones may be dark, so that no transfer serves them; it costs them nothing.
+        """
+        with self._lock:
+            if shot.view.light == self.first:
+                self.vain = max(self.vain, shot.goal.error)
+                self.newest = PointTransfer()
+
+
+def next_shown(samples: int) -> int:
+    """Return the number of paths of each point at which a transfer of so many ``samples`` is shown
+    next.
+    """
+    if samples < FIRST_SHOWN_SAMPLES:
+        return FIRST_SHOWN_SAMPLES
+    return max(next_level(samples), FIRST_SAMPLES)
+
+
+def times_light(
+    sums: tuple[np.ndarray, ...], layers: tuple[Layer, ...], light: RotatedLight
+) -> np.ndarray:
+    """Multiply the ``sums`` of transfer of some ``layers``, (m, replicas, channels, n² or more)
+    each, by a rotated ``light``; return the radiance that leaves the surface, linear RGB (m,
+    replicas, 3).
+    """
+    found = np.zeros((*sums[0].shape[:2], 3))
+    for each, layer in zip(sums, layers, strict=True):
+        met = light.albedo[:, None] * light.light_of(layer)
+        n = min(layer.order**2, met.shape[1])
+        # Layers of one channel reflect all colours alike.
+        if layer.channels == 1:
+            found += each[:, :, 0, :n] @ met[:, :n].T.astype(each.dtype)
+        else:
+            colours = light.colours_of(layer, each)
+            found += np.einsum("mrcn,cn->mrc", colours[..., :n], met[:, :n])
+    return found
+
+
+def place_of(
+    pixels: np.ndarray, points: np.ndarray, normals: np.ndarray, isovalue: Isovalue
+) -> Place:
+    """Return the surface points of ``pixels`` (m,), picture indices, in the form in which a bake
+    takes texels, so that its paths start exactly there.
+
+    ``points`` (m, 3) are in index space, ``normals`` (m, 3) are outward unit world vectors; all
+    points lie on one surface, at the ``isovalue``.
+    """
+    # A bake reads the lattice indices (z, y, x) of texels only to seed their random numbers.
+    numbers = np.zeros((len(pixels), 3), np.int32)
+    numbers[:, 0] = pixels
+    numbers[:, 2] = OUTSIDE_LATTICE
+    here, outward = (np.ascontiguousarray(each.T, np.float64) for each in (points, normals))
+    return numbers, here, outward, np.full(len(pixels), isovalue, np.float64)
 
 
 def layers_of(light: RotatedLight) -> tuple[Layer, ...]:
@@ -163,17 +257,17 @@ def shapes_of(gbuffer: GBuffer, layers: tuple[Layer, ...]) -> list[tuple[int, in
     return [(m, REPLICAS, layer.channels, layer.order**2) for layer in layers]
 
 
-def may_keep_transfer(shot: Shot) -> bool:
+def may_keep_transfer(shot: Shot, most: int) -> bool:
     """Return True if a transfer can light the picture of a ``shot`` under all rotations: its light
-    is kept as harmonics, its surface has one colour, and the transfer is not too large.
+    is kept as harmonics, its surface has one colour, and the transfer takes at most ``most`` bytes.
     """
     light = shot.light
     if light.spec.plan.representation != "transfer" or light.coloured:
         return False
     numbers = sum(math.prod(shape) for shape in shapes_of(shot.gbuffer, layers_of(light)))
-    return numbers * np.dtype(np.float32).itemsize <= MOST_BYTES
+    return numbers * np.dtype(np.float32).itemsize <= most
 
 
 def transfer_key(view: View) -> tuple[Any, ...]:
     """Return the cache key of the transfer of a view's points."""
-    return PointTransfer, surface_key(view)
+    return ViewTransfer, surface_key(view)

@@ -90,7 +90,9 @@ def frame_headers(
             "Isogi-Chunks": f"needed={frame.chunks_needed}, final={frame.chunks_final}",
             "ETag": tag,
             "Cache-Control": FOR_EVER if frame.final and version == tag.strip('"') else "no-cache",
-            "Cache-Status": cache_status(frame.chunks_needed, frame.chunks_final, frame.by_paths),
+            "Cache-Status": cache_status(
+                frame.chunks_needed, frame.chunks_final, frame.goes_without_texels
+            ),
             "Vary": "Accept" if frame.final else "Accept, Prefer",
         }
     )

@@ -170,7 +170,7 @@ class Pictures:
         context = self._context
         frame = context.frame_of(view)
         # Paths of pixels that somebody looked at before would not last in the store.
-        if frame.by_paths:
+        if frame.goes_without_texels:
             context.renderer.surface.checks.require_texels(view, context.goal)
             frame = context.frame_of(view)
         more = True

@@ -356,7 +356,7 @@ class RenderEngine:
         # the processors.
         if frame.view.moving or not frame.final:
             self._idle.disturb()
-        elif frame.by_paths:
+        elif frame.goes_without_texels:
             self._idle.add(Picture(scene, frame.view, goal))
         if checking:
             # Give the rest of the light some time to come before a picture with a part of it is

@@ -51,7 +51,7 @@ def test_paths_light_a_picture_whose_texels_cost_more(bench: Workbench) -> None:
     first = bench.renderer.render(view, GOAL)
     assert first.undecided and first.checkable and first.provisional
     frame = lit(bench, view)
-    assert frame.final and frame.by_paths and not frame.stages
+    assert frame.final and frame.goes_without_texels and not frame.stages
     assert frame.quality.known is not None and frame.quality.known.covers
     assert frame.total.high <= TARGET
     assert true_error(bench, frame) < 1.2 * TARGET
@@ -89,7 +89,7 @@ def test_texels_come_first_where_they_are_to_be_baked(bench: Workbench) -> None:
         bench.renderer.forget_views()
         assert bench.renderer.refine(view, GOAL, prices=prices)
         frame = bench.renderer.render(view, GOAL)
-        assert not frame.by_paths and not frame.undecided and frame.stages
+        assert not frame.goes_without_texels and not frame.undecided and frame.stages
 
 
 def test_texels_come_first_if_they_are_quick(
@@ -112,7 +112,7 @@ def test_texels_come_first_if_pixels_take_more_paths(bench: Workbench) -> None:
 def test_a_picture_with_all_its_texels_has_nothing_to_decide(bench: Workbench) -> None:
     """It is measured, as ever."""
     frame = bench.bake(bench.view(size=32))
-    assert not frame.undecided and not frame.by_paths
+    assert not frame.undecided and not frame.goes_without_texels
 
 
 def test_a_view_beside_another_begins_with_its_light(bench: Workbench) -> None:
@@ -121,7 +121,7 @@ def test_a_view_beside_another_begins_with_its_light(bench: Workbench) -> None:
     view = bench.view(azimuth=41.0, size=SIZE)
     bench.renderer.refine(view, GOAL)
     begun = bench.renderer.render(view, GOAL)
-    assert begun.by_paths and begun.quality.known is not None
+    assert begun.goes_without_texels and begun.quality.known is not None
     assert len(begun.quality.known.carried) > 0.2 * len(begun.gbuffer.pixels)
     assert begun.provisional, "other pixels have no light yet"
     after = lit(bench, view)

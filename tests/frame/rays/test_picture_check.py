@@ -281,10 +281,16 @@ def test_only_noise_of_texels_that_climb_may_be_lost() -> None:
 
 
 def test_the_transfer_of_points_climbs_as_texels_do() -> None:
-    """All of its noise falls, and each rung takes as many paths as there were."""
+    """Its noise falls, and that of lobes stays; each rung takes as many paths as there were."""
     gbuffer = SimpleNamespace(pixels=np.arange(100))
-    frame: Any = SimpleNamespace(quality=Quality(), transferred=64, gbuffer=gbuffer)
-    assert noise_of_climbers(frame) == 1.0
+    frame: Any = SimpleNamespace(
+        quality=Quality(),
+        transferred=64,
+        gbuffer=gbuffer,
+        pixel_noise=np.full(100, 0.2),
+        noise_of_transfer=100 * 0.1**2,
+    )
+    assert noise_of_climbers(frame) == pytest.approx(0.25)
     assert climbs_of(frame, 64, 0.02)[:3] == [0.0, 6400.0, 19200.0]
 
 

@@ -245,7 +245,9 @@ def test_a_check_ends_with_the_time() -> None:
 
     facts = {"surface": 8, "counts": {"final": 2}, "total": SimpleNamespace(likely=0.1)}
     quality = SimpleNamespace(finer=None, lacking=None)
-    frame = SimpleNamespace(checkable=True, by_paths=False, stages=(), quality=quality, **facts)
+    frame = SimpleNamespace(
+        checkable=True, goes_without_texels=False, stages=(), quality=quality, **facts
+    )
     context: Any = SimpleNamespace(
         frame_of=lambda view: frame,
         refine=refine,

@@ -582,6 +582,6 @@ def test_idle_workers_bake_texels_of_pictures_by_paths(
 
     assert wait_for(lambda: seen().final, LONG)
     frame = seen()
-    assert frame.by_paths and not frame.stages
+    assert frame.goes_without_texels and not frame.stages
     moving = replace(view, moving=True)
     assert wait_for(lambda: not engine.survey(name, moving, goal).provisional, LONG)

@@ -315,7 +315,7 @@ async def complete(service: Service, picture: PictureRequest, job: Job) -> Frame
                 return frame
             # All texels are baked, or none are to be: measure and refine the picture, step by step.
             if frame.checkable:
-                if frame.undecided or frame.by_paths:
+                if frame.undecided or frame.goes_without_texels:
                     job.report(0.0, "Paths are traced from the pixels of the picture.")
                 else:
                     job.report(1.0, "All light is baked; control pixels measure the picture.")
