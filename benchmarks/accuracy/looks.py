@@ -125,9 +125,14 @@ def looks(size: int, paths: int, target_error: float, only: tuple[str, ...]) -> 
         frame, shown, truth = pictures(scene, size, paths, Goal.checked(target))
         found = {"target": target, "final": float(frame.final), **measure(frame, shown, truth)}
         figures |= {f"{name}: {key}": value for key, value in found.items()}
-        rows.append((name, *(f"{value:.3g}" for value in found.values())))
+        rows.append((name, *(in_words(value) for value in found.values())))
         click.echo(" | ".join(rows[-1]), err=True)
     return Measurement(f"Final pictures to the eye, {size} × {size}", figures, markdown(HEAD, rows))
+
+
+def in_words(value: float) -> str:
+    """A figure of a table: three digits, of large counts all."""
+    return f"{value:.0f}" if value >= 1000.0 else f"{value:.3g}"
 
 
 def scenes(only: tuple[str, ...]) -> Iterator[tuple[str, Scene]]:
