@@ -59,6 +59,7 @@ PAGES = (
     Page("accuracy-furnace", ("accuracy", "furnace", "--size", "48"), LIGHT),
     Page("accuracy-surfaces", ("accuracy", "surfaces", "--size", "24", "--paths", "512"), LIGHT),
     Page("accuracy-equal-error", ("accuracy", "equal-error", "--size", "256"), LIGHT),
+    Page("accuracy-looks", ("accuracy", "looks"), LIGHT),
     Page("accuracy-reports", ("accuracy", "reports", "--size", "32", "--deadline", "150"), LIGHT),
     Page("service-load", ("service", "load", "--clients", "64", "--seconds", "180"), SERVICE),
     Page("service-routes", ("service", "routes", "demo:casting", "--seconds", "40"), SERVICE),

@@ -33,7 +33,7 @@ from benchmarks.accuracy.glass import error_of, glass
 from benchmarks.accuracy.interpolation import interpolation
 from benchmarks.accuracy.kept import Kept
 from benchmarks.accuracy.lobes import lobes
-from benchmarks.accuracy.looks import noise_of, steps_beyond
+from benchmarks.accuracy.looks import SIGMAS, Truth, noise_of, steps_anywhere, steps_beyond
 from benchmarks.accuracy.projected import projected
 from benchmarks.accuracy.roulette import roulette
 from benchmarks.accuracy.scenes import load_calibrated
@@ -337,3 +337,15 @@ def test_steps_at_borders_are_those_beyond_the_truth() -> None:
     own = np.tile(np.arange(8) < 4, (8, 1))
     found = steps_beyond(truth + 2.0 * own, truth, own, np.ones((8, 8), bool))
     assert found.tolist() == [-2.0] * 8
+
+
+def test_steps_anywhere_are_those_beyond_noise() -> None:
+    """A step of 3 between two halves, at a truth whose pixels have a noise of 0.1."""
+    right = np.tile(np.arange(8) >= 4, (8, 1))
+    truth = Truth(np.zeros((8, 8)), np.full((8, 8), 0.1), np.zeros((8, 8)))
+    noise = np.random.default_rng(1).normal(0.0, 0.1, (8, 8)).clip(-0.25, 0.25)
+    found = steps_anywhere(3.0 * right + noise, truth, np.ones((8, 8), bool))
+    beyond = found[found != 0.0]
+    assert len(found) == 2 * 7 * 8 and len(beyond) == 8
+    assert beyond == pytest.approx(np.full(8, 3.0 - SIGMAS * np.hypot(0.1, 0.1)), abs=0.5)
+    assert len(steps_anywhere(3.0 * right, truth, right)) == 4 * 7 + 3 * 8

@@ -163,6 +163,21 @@ def test_the_picture_uses_a_wide_screen(sketched: Page, width: int, height: int)
     assert sketched.evaluate("document.querySelector('#picture').naturalWidth") == wide
 
 
+def test_a_phone_has_room_for_long_lines_and_small_numbers(sketched: Page) -> None:
+    sketched.set_viewport_size({"width": 390, "height": 844})
+    long = "Refining, about 1.7 % error, not measured yet, longer than expected, about 15 s left"
+    holds = """(line, text) => {
+      const before = line.clientHeight;
+      line.textContent = text;
+      const cut = line.scrollWidth > line.clientWidth || line.scrollHeight > line.clientHeight;
+      return !cut && line.clientHeight === before;
+    }"""
+    assert sketched.eval_on_selector("#status-line", holds, long), "all of it, and nothing moves"
+    lines = "(end, text) => { end.textContent = text; return end.getClientRects().length; }"
+    ends = ("#isovalue-min", "#isovalue-max")
+    assert [sketched.eval_on_selector(end, lines, "1.66103e-11") for end in ends] == [1, 1]
+
+
 @pytest.mark.parametrize(("width", "height"), [(1280, 620), (390, 844)])
 def test_key_c_brings_its_section_into_sight(sketched: Page, width: int, height: int) -> None:
     sketched.set_viewport_size({"width": width, "height": height})

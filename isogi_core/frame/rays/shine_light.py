@@ -3,7 +3,8 @@
 The first rays take the light that texels show now. They are filtered over neighbouring pixels with
 similar normals; the rays show their noise, and the change by the last pass of the filter shows how
 much it blurs. Once the light of texels is final, more rays are cast, in halves that show their
-noise, until this is a share of the target error. They are kept in memory, with the view.
+noise, until this is a share of the target error. While they are so few that the filter takes away
+more than it blurs, they are filtered, too. They are kept in memory, with the view.
 """
 
 import threading
@@ -121,14 +122,20 @@ class ShineLight:
         """Return True if a ``frame`` shows all rays that were cast."""
         return frame.quality.rays.startswith(self.version)
 
-    def put(self, brought: SeenLight | Estimate, framebuffer: Framebuffer, tiles: Tiles) -> None:
+    def put(
+        self, brought: SeenLight | Estimate, framebuffer: Framebuffer, target: float, tiles: Tiles
+    ) -> None:
         """Add the shine to a picture of diffuse light, of which the share ``below`` stays.
 
         It is ``brought`` by the first rays, with the light at their ends, or in the mean by the
-        later ones, with their sums. Raises Cancelled.
+        later ones, with their sums; these are filtered at most until their noise is allowed by a
+        ``target`` error. Raises Cancelled.
         """
         if isinstance(brought, Estimate):
-            found = self._sharp(brought, tiles)
+            diffuse = framebuffer.radiance[self.gbuffer.pixels] * self.below
+            found = self._clearer(
+                brought, float((diffuse @ LUMINANCE_WEIGHTS).mean()), target, tiles
+            )
         else:
             found = self._filtered(self.rays.gather(brought.light), tiles)
         darkest = MIN_LIGHT * self.light.spec.unit
@@ -148,8 +155,33 @@ class ShineLight:
 
         tiles.run(_piece, len(self.below), tiles.even(len(self.below)))
 
+    def _clearer(self, sums: Estimate, diffuse: float, target: float, tiles: Tiles) -> NoisyLight:
+        """Return the light of ``sums``, filtered over the picture if that has a smaller error and
+        their noise is not yet allowed by a ``target`` error; ``diffuse`` is the mean luminance
+        below the shine.
+
+        The first sums hold two rays of a point: unfiltered, they would have more noise than the
+        picture of the first rays that they replace. Raises Cancelled.
+        """
+        sharp = self._sharp(sums, tiles)
+        shown = diffuse + float((sharp.light @ LUMINANCE_WEIGHTS).mean())
+        noise = float(sharp.variance.mean())
+        if noise <= (SHINE_NOISE_SHARE * target * shown) ** 2:
+            return sharp
+        # One half has other rays than the other: what it differs by from the other one filtered,
+        # beyond its own noise, is the error by filtering.
+        one, other = (sums.means @ LUMINANCE_WEIGHTS).T
+        smooth = self._filtered(sums.means[:, :1], tiles).light @ LUMINANCE_WEIGHTS
+        error = float(((smooth - other) ** 2).mean() - ((one - other) ** 2).mean() / 2.0)
+        if error >= noise:
+            return sharp
+        # Tell no less than that.
+        filtered = self._filtered(sums.means, tiles)
+        told = float(filtered.variance.mean())
+        return NoisyLight(filtered.light, filtered.variance * max(error / max(told, 1e-300), 1.0))
+
     def _filtered(self, means: np.ndarray, tiles: Tiles) -> NoisyLight:
-        """Filter the light of single rays, ``means`` (m, 1, 3), over the picture. Raises
+        """Filter the light of rays, ``means`` (m, 1 or 2, 3), over the picture. Raises
         Cancelled.
         """
         gbuffer = self.gbuffer
@@ -211,10 +243,10 @@ class ViewShine(Refinement[ShineLight]):
         # Rays cast after the first ones replace these. Their sums hold final light, so their number
         # names it. The light at the ends of the first rays still changes: look it up now.
         if sums.most:
-            shine.put(sums, framebuffer, tiles)
+            shine.put(sums, framebuffer, shot.goal.error, tiles)
             return shine.named(sums)
         ends = self._ends(shine.rays, shot)
-        shine.put(ends, framebuffer, tiles)
+        shine.put(ends, framebuffer, shot.goal.error, tiles)
         return shine.named(sums) + ends.version
 
     def of(self, shot: Shot) -> ShineLight | None:

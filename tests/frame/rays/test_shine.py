@@ -4,6 +4,7 @@ nothing shines.
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -98,6 +99,21 @@ def test_first_frames_tell_their_noise(polished: Workbench) -> None:
     polished.renderer.forget_views()
     noise = [frame.noise for frame in bench_steps(polished, view)]
     assert noise[-1] < 0.7 * noise[0]
+
+
+def test_rays_at_rest_begin_no_noisier_than_the_first(polished: Workbench) -> None:
+    """The first rays are filtered. Those that replace them, two of a pixel, are filtered until they
+    are so many that the filter would blur more than they are noisy; pictures tell what it blurs.
+    """
+    view = polished.view(size=48, shine=Shine("metal", 0.6))
+    polished.bake(view)
+    truth = polished.settled(view)
+    polished.renderer.forget_views()
+    frames = [polished.renderer.render(view), *bench_steps(polished, view)]
+    true = [relative_rmse(frame, truth) for frame in frames[:-1]]
+    told = [frame.noise for frame in frames[:-1]]
+    assert len(true) > 4 and max(b / a for a, b in pairwise(true)) < 1.05
+    assert all(0.6 < a / b < 1.6 for a, b in zip(told[1:5], true[1:5], strict=True))
 
 
 def test_white_plastic_under_white_light_is_white(workbench: Callable[[Scene], Workbench]) -> None:
