@@ -34,6 +34,7 @@ from isogi_core.frame.rays.control_pixels import (
     TotalError,
     chances,
     draw_places,
+    first_controls,
     paths_for,
     spread_errors,
     trace_controls,
@@ -235,7 +236,7 @@ class PictureCheck:
         self.whole = choice
         self.known = replace(self.known, own=carried, carried=carried.places, by_paths=True)
         self.growing = Growth(choice, carried, shown=True, earlier=carried.places)
-        self.ahead = Ahead(2.0 * paths_for(self.known.goal.error) * FIRST_CONTROLS, times=1)
+        self.ahead = Ahead(first_controls(self.known.goal.error), times=1)
 
     def decline(self) -> None:
         """Go on without finer texels: memory has no room for them."""
