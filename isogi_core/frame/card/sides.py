@@ -23,7 +23,14 @@ from isogi_core.frame.card.chunk_texels import (
     number_texels,
     with_neighbours,
 )
-from isogi_core.frame.card.looks import Look, SeenChunk, look_at, seen_chunks
+from isogi_core.frame.card.looks import (
+    Look,
+    SeenChunk,
+    goal_of_light,
+    look_at,
+    reads_of,
+    seen_chunks,
+)
 from isogi_core.frame.known_blocks import Block, Packed
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.renderer import Renderer
@@ -80,19 +87,17 @@ def seen_on_sides(
             peeling.check_room()
         return found
 
-    # Each chunk of each side comes with the number of points that read it.
+    # Each chunk of each side comes with the number of its reads.
     found = peeling.in_room(find)
     return tuple(chunk for _, chunk in sorted(found, key=lambda each: -each[0]))
 
 
 def chunks_of_side(seen: SeenSide, goal: Goal, tiles: Tiles) -> list[tuple[int, SeenChunk]]:
-    """Return the chunks that a view reads of a side that is ``seen``, each with the number of
-    points that read it.
+    """Return the chunks that a view reads of a side that is ``seen``, each with the number of its
+    reads. Raises the errors of ``Loader.ensure``.
     """
     light = SideLight(seen.side, seen.renderer)
-    check = seen.renderer.checks.held(seen.view, goal)
-    if check:
-        goal = check.known.goal
+    goal = goal_of_light(seen.renderer, seen.view, goal)
     texels = seen.renderer.texels(seen.view, seen.layers.gbuffer, tiles)
     # Light is final if it is at all levels that are mixed.
     light.load(texels.chunks, tiles)
@@ -101,12 +106,10 @@ def chunks_of_side(seen: SeenSide, goal: Goal, tiles: Tiles) -> list[tuple[int, 
         with loader.pool.hold(texels.chunks) as held:
             short |= read_texels(texels, held.slots, loader.pool, goal, tiles).short
     versions = light.versions(texels.chunks, tiles)
-    read = texels.places[texels.corners].ravel() >> 3 * texels.lattice.bits
-    counts = np.bincount(read, minlength=len(versions)).tolist()
     return [
         (count, SeenChunk((at[0] + light.behind, *at[1:]), version, not lacks))
         for count, at, version, lacks in zip(
-            counts, texels.chunks, versions, short.tolist(), strict=True
+            reads_of(texels).tolist(), texels.chunks, versions, short.tolist(), strict=True
         )
     ]
 
