@@ -10,7 +10,7 @@ from isogi_core.cache.scene_caches import Loader
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer, undrawn_frame
 from isogi_core.frame.surface_renderer import SurfaceRenderer
-from isogi_core.frame.texel_reading import read_texels
+from isogi_core.frame.texel_reading import Reading, read_texels
 from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import ViewTexels
 from isogi_core.model.view import View
@@ -80,10 +80,7 @@ def look_at(renderer: Renderer, view: View, goal: Goal, tiles: Tiles) -> Look:
 def new_look(renderer: Renderer, view: View, goal: Goal, loader: Loader, tiles: Tiles) -> Look:
     """Find the chunks that a ``view`` reads, by its rays."""
     texels = renderer.surface.texels(view, renderer.gbuffer(view, tiles), tiles)
-    loader.ensure(texels.chunks, tiles.check)
-    with loader.pool.hold(texels.chunks) as held:
-        reading = read_texels(texels, held.slots, loader.pool, goal, tiles)
-        versions = list(map(loader.pool.version, held.slots.tolist()))
+    reading, versions = read_light(loader, texels, goal, tiles)
     order = np.argsort(-reads_of(texels), kind="stable").tolist()
     seen = tuple(SeenChunk(texels.chunks[i], versions[i], not reading.short[i]) for i in order)
     if not reading.short.any():
@@ -97,6 +94,18 @@ def goal_of_light(renderer: SurfaceRenderer, view: View, goal: Goal) -> Goal:
     """
     check = renderer.checks.held(view, goal)
     return check.known.goal if check else goal
+
+
+def read_light(
+    loader: Loader, texels: ViewTexels, goal: Goal, tiles: Tiles
+) -> tuple[Reading, tuple[bytes, ...]]:
+    """Return the reading of a view's ``texels``, loaded now, and the version of each of their
+    chunks. Raises the errors of ``Loader.ensure``, and Cancelled.
+    """
+    loader.ensure(texels.chunks, tiles.check)
+    with loader.pool.hold(texels.chunks) as held:
+        reading = read_texels(texels, held.slots, loader.pool, goal, tiles)
+        return reading, tuple(map(loader.pool.version, held.slots.tolist()))
 
 
 def reads_of(texels: ViewTexels) -> np.ndarray:
