@@ -4,6 +4,7 @@ OpenEXR: https://openexr.com/en/latest/OpenEXRFileLayout.html, read by the libra
 """
 
 import io
+import re
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,8 @@ from isogi_core.files.radiance import MAX_PIXELS, parse_hdr, read_hdr
 
 EXR_MAGIC = b"\x76\x2f\x31\x01"
 EXR_LIBRARY = "OpenEXR"
+EXR_VERSION = (3, 5)
+"""The library of OpenEXR, and the first version of it that reads files from memory."""
 
 REC_709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
 """Chromaticities x, y of red, green, blue and white that files have which name none."""
@@ -56,16 +59,11 @@ def parse_exr(data: bytes, path: str, most: int = MAX_PIXELS) -> np.ndarray:
     """Return the picture in the bytes of an OpenEXR file called ``path``, linear RGB (h, w, 3)
     float32, of ``most`` pixels at most.
 
-    Its channels R, G and B, or Y alone, are read. Raises LightError if the library is missing, or
-    if the file is damaged, a cube map, of other primaries than Rec. 709, or without such channels.
+    Its channels R, G and B, or Y alone, are read. Raises LightError if the library is missing or
+    too old, or if the file is damaged, a cube map, of other primaries than Rec. 709, or without
+    such channels.
     """
-    try:
-        library = import_module(EXR_LIBRARY)
-    except ImportError as error:
-        raise LightError(
-            f"'{path}' is read by OpenEXR, which is not installed: pip install 'isogi[formats]', "
-            "or save it as a Radiance picture, .hdr."
-        ) from error
+    library = _exr_library(path)
     # Judge the header before any pixel is read.
     _check_header(_opened(library, data, path, header_only=True), path, most)
     channels = {
@@ -78,6 +76,29 @@ def parse_exr(data: bytes, path: str, most: int = MAX_PIXELS) -> np.ndarray:
         raise LightError(f"'{path}' has the channels {found}: save it with R, G and B.")
     picture = np.stack([channels[name] for name in names], axis=-1).astype(np.float32)
     return np.ascontiguousarray(np.broadcast_to(picture, (*picture.shape[:2], 3)))
+
+
+def _exr_library(path: str) -> Any:
+    """Return the library of OpenEXR. Raises LightError, for a file called ``path``, if it is
+    missing, or older than EXR_VERSION.
+    """
+    instead = "or save it as a Radiance picture, .hdr."
+    try:
+        library = import_module(EXR_LIBRARY)
+    except ImportError as error:
+        raise LightError(
+            f"'{path}' is read by OpenEXR, which is not installed: pip install 'isogi[formats]', "
+            f"{instead}"
+        ) from error
+    # Older ones read files by name alone, so that bytes would seem to be damaged.
+    version = str(getattr(library, "__version__", "0"))
+    if tuple(map(int, re.findall(r"\d+", version)[:2])) < EXR_VERSION:
+        needed = ".".join(map(str, EXR_VERSION))
+        raise LightError(
+            f"'{path}' is read by OpenEXR {needed} or newer, and {version} is installed: "
+            f"pip install --upgrade 'isogi[formats]', {instead}"
+        )
+    return library
 
 
 def _opened(library: Any, data: bytes, path: str, header_only: bool = False) -> Any:

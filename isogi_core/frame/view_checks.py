@@ -16,7 +16,7 @@ from isogi_core.cache.scene_caches import Caches
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import surface_key
 from isogi_core.frame.rays.carried_light import MOST_BENT, TracedLight, TracedPoints, carried_key
-from isogi_core.frame.rays.control_pixels import CONTROLS_IF_MISSED, FIRST_CONTROLS, paths_for
+from isogi_core.frame.rays.control_pixels import CONTROLS_IF_MISSED, first_controls, paths_for
 from isogi_core.frame.rays.own_light import (
     PATHS_RATE,
     PixelLight,
@@ -145,7 +145,7 @@ class ViewChecks(Refinement[PictureCheck]):
             # The picture is measured with that light, and perhaps once more without it. If it
             # spares few paths, it costs more than it brings.
             carried = self._carried(shot, uncertainty)
-            measurement = 2 * FIRST_CONTROLS * paths_for(shot.goal.error)
+            measurement = first_controls(shot.goal.error)
             if carried.paths >= WORTH_CARRYING * measurement and len(carried.places):
                 found.carry(carried)
                 return True
@@ -340,7 +340,7 @@ class ViewChecks(Refinement[PictureCheck]):
         check = self.held(frame.view, goal)
         paths = PathsLeft(pace=check.pace if check else None)
         if frame.measured is None or frame.outdated:
-            controls = 2.0 * paths_for(max(goal.error, frame.noise)) * FIRST_CONTROLS
+            controls = first_controls(max(goal.error, frame.noise))
             paths = paths._replace(pixels=controls, times=1)
         lacking = frame.quality.lacking
         chunks = lacking.texels.chunks if lacking else ()
@@ -375,7 +375,7 @@ class ViewChecks(Refinement[PictureCheck]):
         reading = frame.quality.lacking.reading
         left = foreseen_work(frame, reading, goal.error, reading.effort or effort)
         # The picture is measured on each rung, too.
-        each = 2.0 * paths_for(goal.error) * FIRST_CONTROLS
+        each = first_controls(goal.error)
         return left._replace(pixels=left.pixels + (left.times - FEWEST_TIMES) * each)
 
 

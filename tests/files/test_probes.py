@@ -89,6 +89,17 @@ def test_a_missing_library_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         read_probe(tmp_path / "a.exr")
 
 
+@pytest.mark.parametrize("version", ["1.3.9", "3.4.4"])
+def test_an_old_library_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, version: str
+) -> None:
+    """Not the file, which newer ones read."""
+    path = written(tmp_path / "a.exr")
+    monkeypatch.setattr(sys.modules[EXR_LIBRARY], "__version__", version)
+    with pytest.raises(LightError, match=rf"OpenEXR 3\.5 or newer, and {version} is installed"):
+        read_probe(path)
+
+
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(LightError, match="check its path"):
         read_probe(tmp_path / "absent.exr")

@@ -2,17 +2,13 @@
 and a row here that says what to look at before the bound is raised.
 """
 
-import ast
 import importlib
 import tomllib
-from collections.abc import Iterator
-from pathlib import Path
 from typing import NamedTuple
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
-PACKAGES = ("isogi", "isogi_core", "worker", "server", "isogi_report")
+from tests.package.imports import ROOT, imports_of_product
 
 
 class Private(NamedTuple):
@@ -91,24 +87,13 @@ def test_private_names_are_there(library: str) -> None:
             found = getattr(found, part)
 
 
-def imported() -> Iterator[str]:
-    """The modules that the product imports, by their full names."""
-    for package in PACKAGES:
-        for path in (ROOT / package).rglob("*.py"):
-            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-                if isinstance(node, ast.ImportFrom) and node.module:
-                    yield node.module
-                elif isinstance(node, ast.Import):
-                    yield from (each.name for each in node.names)
-
-
 def is_private(module: str) -> bool:
     """Whether a part of a module's name begins with an underscore."""
     return any(part.startswith("_") for part in module.split("."))
 
 
 def test_other_libraries_are_used_by_public_modules_alone() -> None:
-    ours = tuple(f"{each}." for each in PACKAGES)
     allowed = tuple(module for each in LIBRARIES.values() for module in each.modules)
-    found = {each for each in imported() if is_private(each) and not each.startswith(ours)}
+    others = {each for _, each in imports_of_product() if not each.startswith("isogi")}
+    found = {each for each in others if is_private(each)}
     assert {each for each in found if not each.startswith((*allowed, "__future__"))} == set()

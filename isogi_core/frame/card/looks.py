@@ -9,8 +9,10 @@ from isogi_core.bake.noise import Goal
 from isogi_core.cache.scene_caches import Loader
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer, undrawn_frame
-from isogi_core.frame.texel_reading import read_texels
+from isogi_core.frame.surface_renderer import SurfaceRenderer
+from isogi_core.frame.texel_reading import Reading, read_texels
 from isogi_core.frame.tiles import Tiles
+from isogi_core.frame.view_texels import ViewTexels
 from isogi_core.model.view import View
 from isogi_core.prepared.prepared_scene import Index
 
@@ -61,11 +63,8 @@ def look_at(renderer: Renderer, view: View, goal: Goal, tiles: Tiles) -> Look:
     """Return the look of a ``view`` whose picture has a ``goal``; looks at final light are kept for
     all that ask. Raises the errors of ``fold_chunks``.
     """
-    # Light counts as final once it has the samples that a check of the picture asks for.
-    check = renderer.surface.checks.held(view, goal)
+    goal = goal_of_light(renderer.surface, view, goal)
     loader = renderer.caches.of("gi")
-    if check:
-        goal = check.known.goal
     # A kept look is used until one of its chunks has been baked on.
     known: Look | None = renderer.looks.held((view, goal))
     if known is not None and known.is_current(loader, tiles):
@@ -81,14 +80,37 @@ def look_at(renderer: Renderer, view: View, goal: Goal, tiles: Tiles) -> Look:
 def new_look(renderer: Renderer, view: View, goal: Goal, loader: Loader, tiles: Tiles) -> Look:
     """Find the chunks that a ``view`` reads, by its rays."""
     texels = renderer.surface.texels(view, renderer.gbuffer(view, tiles), tiles)
-    loader.ensure(texels.chunks, tiles.check)
-    with loader.pool.hold(texels.chunks) as held:
-        reading = read_texels(texels, held.slots, loader.pool, goal, tiles)
-        versions = list(map(loader.pool.version, held.slots.tolist()))
-    # Count the pixels that read each chunk.
-    read = texels.places[texels.corners].ravel() >> 3 * texels.lattice.bits
-    order = np.argsort(-np.bincount(read, minlength=len(versions)), kind="stable").tolist()
+    reading, versions = read_light(loader, texels, goal, tiles)
+    order = np.argsort(-reads_of(texels), kind="stable").tolist()
     seen = tuple(SeenChunk(texels.chunks[i], versions[i], not reading.short[i]) for i in order)
     if not reading.short.any():
         return Look(seen, None)
     return Look(seen, undrawn_frame(renderer, view, texels, reading))
+
+
+def goal_of_light(renderer: SurfaceRenderer, view: View, goal: Goal) -> Goal:
+    """Return the goal by which light that a ``view`` reads is final, if its picture has a ``goal``:
+    with the samples that a check of the picture asks for, if there is one.
+    """
+    check = renderer.checks.held(view, goal)
+    return check.known.goal if check else goal
+
+
+def read_light(
+    loader: Loader, texels: ViewTexels, goal: Goal, tiles: Tiles
+) -> tuple[Reading, tuple[bytes, ...]]:
+    """Return the reading of a view's ``texels``, loaded now, and the version of each of their
+    chunks. Raises the errors of ``Loader.ensure``, and Cancelled.
+    """
+    loader.ensure(texels.chunks, tiles.check)
+    with loader.pool.hold(texels.chunks) as held:
+        reading = read_texels(texels, held.slots, loader.pool, goal, tiles)
+        return reading, tuple(map(loader.pool.version, held.slots.tolist()))
+
+
+def reads_of(texels: ViewTexels) -> np.ndarray:
+    """Return the number of times that a view reads each chunk of its ``texels``, eight for each of
+    its points; (chunks,) int64.
+    """
+    read = texels.places[texels.corners].ravel() >> 3 * texels.lattice.bits
+    return np.bincount(read, minlength=len(texels.chunks))

@@ -23,7 +23,15 @@ from isogi_core.frame.card.chunk_texels import (
     number_texels,
     with_neighbours,
 )
-from isogi_core.frame.card.looks import Look, SeenChunk, look_at, seen_chunks
+from isogi_core.frame.card.looks import (
+    Look,
+    SeenChunk,
+    goal_of_light,
+    look_at,
+    read_light,
+    reads_of,
+    seen_chunks,
+)
 from isogi_core.frame.known_blocks import Block, Packed
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.renderer import Renderer
@@ -80,33 +88,26 @@ def seen_on_sides(
             peeling.check_room()
         return found
 
-    # Each chunk of each side comes with the number of points that read it.
+    # Each chunk of each side comes with the number of its reads.
     found = peeling.in_room(find)
     return tuple(chunk for _, chunk in sorted(found, key=lambda each: -each[0]))
 
 
 def chunks_of_side(seen: SeenSide, goal: Goal, tiles: Tiles) -> list[tuple[int, SeenChunk]]:
-    """Return the chunks that a view reads of a side that is ``seen``, each with the number of
-    points that read it.
+    """Return the chunks that a view reads of a side that is ``seen``, each with the number of its
+    reads. Raises the errors of ``Loader.ensure``.
     """
     light = SideLight(seen.side, seen.renderer)
-    check = seen.renderer.checks.held(seen.view, goal)
-    if check:
-        goal = check.known.goal
+    goal = goal_of_light(seen.renderer, seen.view, goal)
     texels = seen.renderer.texels(seen.view, seen.layers.gbuffer, tiles)
     # Light is final if it is at all levels that are mixed.
-    light.load(texels.chunks, tiles)
-    short = np.zeros(len(texels.chunks), np.bool_)
-    for loader in light.loaders:
-        with loader.pool.hold(texels.chunks) as held:
-            short |= read_texels(texels, held.slots, loader.pool, goal, tiles).short
-    versions = light.versions(texels.chunks, tiles)
-    read = texels.places[texels.corners].ravel() >> 3 * texels.lattice.bits
-    counts = np.bincount(read, minlength=len(versions)).tolist()
+    levels = [read_light(loader, texels, goal, tiles) for loader in light.loaders]
+    short = np.logical_or.reduce([reading.short for reading, _ in levels])
+    versions = light.mixed_versions([versions for _, versions in levels])
     return [
         (count, SeenChunk((at[0] + light.behind, *at[1:]), version, not lacks))
         for count, at, version, lacks in zip(
-            counts, texels.chunks, versions, short.tolist(), strict=True
+            reads_of(texels).tolist(), texels.chunks, versions, short.tolist(), strict=True
         )
     ]
 
@@ -180,8 +181,13 @@ class SideLight:
         levels, and their shares. Raises the errors of ``Loader.ensure``.
         """
         self.load(chunks, tiles)
-        found = [loader.pool.versions(chunks) for loader in self.loaders]
-        return tuple(map(self._version, zip(*found, strict=True)))
+        return self.mixed_versions([loader.pool.versions(chunks) for loader in self.loaders])
+
+    def mixed_versions(self, versions: Iterable[Iterable[bytes]]) -> tuple[bytes, ...]:
+        """Return one version of each chunk that names the light of all levels, and their shares,
+        from its ``versions`` at each level.
+        """
+        return tuple(map(self._version, zip(*versions, strict=True)))
 
     def known(
         self, renderer: Renderer, view: View, chunks: Sequence[Index], goal: Goal, tiles: Tiles
@@ -244,8 +250,7 @@ class SideLight:
             for pool, some in held:
                 reading = read_texels(texels, some[rows], pool, goal, tiles)
                 found.append((reading, light_sources(reading.sources(pool), light, tiles)))
-            versions = [map(pool.version, some.tolist()) for pool, some in held]
-            named = tuple(map(self._version, zip(*versions, strict=True)))
+            named = self.mixed_versions(map(pool.version, some.tolist()) for pool, some in held)
         reading, lit = mixed(self.levels, found)
         return ChunkTexels(tuple(chunks), named, texels, reading), lit
 

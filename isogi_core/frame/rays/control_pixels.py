@@ -222,6 +222,13 @@ def paths_for(target: float) -> int:
     return int(np.clip(2 ** math.ceil(math.log2(8.0 / target)), FEWEST_PATHS, MOST_PATHS))
 
 
+def first_controls(target: float) -> float:
+    """Return the number of paths of the first controls, both halves together, of a picture with
+    an error of about ``target``.
+    """
+    return 2.0 * paths_for(target) * FIRST_CONTROLS
+
+
 def trace_controls(
     light: RotatedLight,
     gbuffer: GBuffer,

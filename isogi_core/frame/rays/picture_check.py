@@ -35,6 +35,7 @@ from isogi_core.frame.rays.control_pixels import (
     TotalError,
     chances,
     draw_places,
+    first_controls,
     paths_for,
     spread_errors,
     trace_controls,
@@ -244,7 +245,7 @@ class PictureCheck:
         self.whole = choice
         self.known = replace(self.known, own=carried, carried=carried.places, lit_by="paths")
         self.growing = Growth(choice, carried, shown=True, earlier=carried.places)
-        self.ahead = Ahead(2.0 * paths_for(self.known.goal.error) * FIRST_CONTROLS, times=1)
+        self.ahead = Ahead(first_controls(self.known.goal.error), times=1)
 
     def light_by_transfer(self, base: TransferredLight, samples: int) -> None:
         """Show the ``base``, light of all points by their transfer, which is to have at least

@@ -69,6 +69,11 @@ class Part:
             return TotalError(noise, noise, noise)
         return self.frame.measured
 
+    @property
+    def unmeasured(self) -> bool:
+        """True if control pixels have not measured it with the samples that its texels have."""
+        return self.measured is None or self.frame.outdated
+
 
 @dataclass(frozen=True, eq=False)
 class ComposedFrame(Frame):
@@ -218,13 +223,19 @@ def in_picture(part: Part, error: float) -> float:
     return error * part.frame.true_mean * part.weight**0.5
 
 
-def to_refine(frame: ComposedFrame, errors: Mapping[Side, float], target: float) -> list[Part]:
-    """Return the parts of a ``frame`` that take steps until it reaches a ``target``, besides the
-    measuring of each; ``errors`` are the relative errors of all parts, as far as they are known.
+def step_order(part: Part) -> tuple[bool, float]:
+    """Return a key by which parts are sorted, in reverse, for the next step of a picture: those
+    that are not measured, and then those of the largest error.
+    """
+    return part.unmeasured, error_of(part)
 
-    Walls are always brought to the target. Of the sides, the one with the largest error has the
-    next step: it is measured first, and then brought to the target by itself. Steps end once all
-    sides are measured and the squares of all errors add up to the allowed one.
+
+def to_refine(frame: ComposedFrame, errors: Mapping[Side, float], target: float) -> list[Part]:
+    """Return the parts of a ``frame`` that take steps until it reaches a ``target``, after all were
+    measured; ``errors`` are the relative errors of all parts, as far as they are known.
+
+    Walls are always brought to the target. Of the sides, the one with the largest error is brought
+    to the target by itself. Steps end once the squares of all errors add up to the allowed one.
     """
     allowed = (target * frame.true_mean) ** 2 * frame.surface
     # Walls alone wait by themselves.
@@ -232,12 +243,8 @@ def to_refine(frame: ComposedFrame, errors: Mapping[Side, float], target: float)
     left = {part.side: in_picture(part, errors[part.side]) for part in frame.parts}
     left |= {part.side: in_picture(part, target) for part in found}
     improving = [part for part in frame.parts if part.frame.improving]
-    unmeasured = {part.side for part in improving if part.measured is None or part.frame.outdated}
-    while improving and (unmeasured or sum(error**2 for error in left.values()) > allowed):
+    while improving and sum(error**2 for error in left.values()) > allowed:
         part = max(improving, key=lambda each: left[each.side])
-        if part.side in unmeasured:
-            unmeasured.remove(part.side)
-            continue
         improving.remove(part)
         # A part that is at the target by itself takes no steps.
         if errors[part.side] > target:

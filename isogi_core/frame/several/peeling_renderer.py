@@ -21,7 +21,7 @@ from isogi_core.frame.several.composed_frame import (
     ComposedFrame,
     Part,
     compose,
-    error_of,
+    step_order,
     to_refine,
 )
 from isogi_core.frame.several.mixed_reading import Level
@@ -154,9 +154,10 @@ class PeelingRenderer:
             for part in frame.parts
             if part.frame.checkable and (frame.checkable or part.side == WALLS_SIDE)
         ]
-        # The side with the largest known error takes the step, or else the next that has a step to
-        # take.
-        for part in sorted(waiting, key=error_of, reverse=True):
+        # Measure all sides before any takes other steps: together they may be at the target while
+        # one of them is not. Then the side with the largest error takes the step, or else the next
+        # that has a step to take.
+        for part in sorted(waiting, key=step_order, reverse=True):
             renderer = self.renderer_of(part.side, view.isovalue)
             if renderer.refine_frame(part.frame, goal, tiles, prices.of_present):
                 return True

@@ -380,13 +380,10 @@ class RenderEngine:
         If a frame with finer texels is coming in its place, that one's needs count. The stage is
         empty for a path-traced frame, which needs no texels.
         """
-        return self._lacking(scene, frame.quality.finer or frame)
-
-    def _lacking(self, scene: str, frame: Frame) -> tuple[str, Stage]:
-        """Return bake and stage as ``lacking`` does, for the texels of this very ``frame``."""
-        stage = next(iter(frame.stages), Stage((), Goal(self.planned(scene).target_error)))
-        spec = spec_name(frame.view.shading)
-        return self.bake_at(scene, spec, stage, frame.quality.fineness), stage
+        shown = frame.quality.finer or frame
+        stage = next(iter(shown.stages), Stage((), Goal(self.planned(scene).target_error)))
+        spec = spec_name(shown.view.shading)
+        return self.bake_at(scene, spec, stage, shown.quality.fineness), stage
 
     def bake_at(self, scene: str, spec: str, stage: Stage, fineness: int = 0) -> str:
         """Return the name of the bake that bakes a ``stage`` of the light of a scene by a ``spec``

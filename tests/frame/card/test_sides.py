@@ -1,12 +1,14 @@
 """Light of several surfaces for cards: chunks of all sides, and what they depend on."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from isogi_core.bake.noise import Goal
 from isogi_core.errors import NoRoomError
+from isogi_core.frame.card import looks
 from isogi_core.frame.card.block_format import HEADER
 from isogi_core.frame.card.looks import Look
 from isogi_core.frame.card.sides import (
@@ -17,6 +19,7 @@ from isogi_core.frame.card.sides import (
 )
 from isogi_core.frame.several.composed_frame import parts_of
 from isogi_core.frame.several.peeling_renderer import PeelingRenderer
+from isogi_core.frame.texel_reading import Reading, read_texels
 from isogi_core.frame.tiles import Tiles
 from isogi_core.model.view import View
 from isogi_core.plan.variants import Side
@@ -107,6 +110,26 @@ def test_a_list_of_chunks_draws_no_picture(
     assert not all(each.final for each in seen)
     monkeypatch.setattr(PeelingRenderer, "draw", None)
     assert seen_on_sides(fresh.renderer, view, Goal.checked(LOOSE), Tiles()) == seen
+
+
+def test_a_version_is_that_of_the_light_that_was_read(
+    bench: Workbench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Light of all sides comes right after that of the first was found lacking."""
+    fresh = Workbench(bench.scene, bench.folder / "meanwhile")
+    view = view_at(fresh)
+    before = look(fresh, view).seen
+
+    def read(*given: Any) -> Reading:
+        found = read_texels(*given)
+        bake(fresh, view)
+        return found
+
+    monkeypatch.setattr(looks, "read_texels", read)
+    found = look(fresh, view).seen
+    after = look(fresh, view).seen
+    assert set(found) & set(before) and set(found) & set(after)
+    assert set(found) <= {*before, *after}
 
 
 @pytest.mark.parametrize("times", [1, 2])

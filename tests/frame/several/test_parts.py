@@ -10,10 +10,11 @@ import pytest
 
 from isogi_core.bake.noise import Goal
 from isogi_core.cache.scene_caches import Caches
+from isogi_core.frame.frame import Frame
 from isogi_core.frame.rays.control_pixels import TotalError
-from isogi_core.frame.several.composed_frame import ComposedFrame, Part, to_refine
+from isogi_core.frame.several.composed_frame import ComposedFrame, Part, step_order, to_refine
 from isogi_core.frame.several.mixed_reading import Level, MixedReading, mixed
-from isogi_core.frame.several.peels import Hits, Peeler, first_of, side_layers
+from isogi_core.frame.several.peels import Hits, Peeler, SideLayers, first_of, side_layers
 from isogi_core.frame.texel_reading import Reading
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL
@@ -121,12 +122,16 @@ def part_of(side: Side, error: float, measured: bool, final: bool = False) -> Pa
     total = TotalError(error, error, error)
     quality = SimpleNamespace(waiting=0)
     frame = SimpleNamespace(
-        true_mean=1.0, improving=not final, outdated=False, quality=quality, total=total
+        true_mean=1.0,
+        improving=not final,
+        outdated=False,
+        quality=quality,
+        total=total,
+        noise=error,
+        measured=total if measured else None,
     )
-    found = SimpleNamespace(
-        side=side, weight=100.0, frame=frame, measured=total if measured else None
-    )
-    return cast(Part, found)
+    layers = SimpleNamespace(weights=np.ones(100))
+    return Part(side, cast(SideLayers, layers), cast(Frame, frame), cast(Caches, "light"))
 
 
 def refined(*parts: Part, target: float = 0.02) -> list[Side]:
@@ -151,13 +156,14 @@ def test_sides_take_steps_until_errors_add_up_to_the_target() -> None:
     assert refined(part_of(A, 0.06, measured=True, final=True), *small) == []
 
 
-def test_the_worst_side_takes_steps_before_others_are_measured() -> None:
-    """Its steps come first, so it takes them even where all together would be good enough."""
-    others = part_of(B, 0.015, measured=False), part_of(C, 0.01, measured=False)
-    assert refined(part_of(A, 0.03, measured=True), *others) == [A]
-    assert refined(part_of(A, 0.02, measured=True), *others) == []
-    noisy = part_of(B, 0.025, measured=False)
-    assert refined(part_of(A, 0.03, measured=True), noisy, others[1]) == [A, B]
+def test_sides_are_measured_before_the_worst_takes_steps() -> None:
+    """Its steps would be in vain if all together are good enough."""
+    worst = part_of(A, 0.03, measured=True)
+    others = part_of(B, 0.01, measured=False), part_of(C, 0.015, measured=False)
+    assert sorted([worst, *others], key=step_order, reverse=True) == [others[1], others[0], worst]
+    assert refined(worst, *others) == []
+    noisy = part_of(B, 0.055, measured=False)
+    assert refined(part_of(A, 0.03, measured=True), noisy, others[1]) == [B]
 
 
 # --- light of two levels

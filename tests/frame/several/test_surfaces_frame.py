@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from isogi_core.bake.noise import Goal
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import NoRoomError
 from isogi_core.frame.film import develop, linear_table
@@ -48,6 +49,20 @@ def test_a_picture_becomes_final_and_is_what_paths_say(halo: Workbench) -> None:
     traced = drawn(halo, replace(view, shading="path_traced", samples=512))
     assert relative_rmse(frame, traced) < LOOSE
     assert not traced.stages and not traced.checkable
+
+
+def test_all_sides_are_measured_before_one_is_refined(halo: Workbench) -> None:
+    """Far below the error of each side, which would all take other steps."""
+    view = halo.view(size=SIZE)
+    renderer = halo.again().renderer
+    goal = Goal.checked(0.1 * LOOSE)
+    count = len(parts_of(renderer.render(view, goal)))
+    measured = []
+    for _ in range(count):
+        assert renderer.refine(view, goal)
+        parts = parts_of(renderer.render(view, goal))
+        measured.append(sum(not part.unmeasured for part in parts))
+    assert count >= 3 and measured == list(range(1, count + 1))
 
 
 def test_one_cache_of_what_slides_serves_all_isovalues(halo: Workbench) -> None:
