@@ -8,14 +8,14 @@ from functools import cache
 import numpy as np
 import pytest
 
-from isogi_core.bake.noise import mean_luminance
+from isogi_core.bake.noise import Goal, mean_luminance
 from isogi_core.bake.refine import add_to_mean, locate, refine, sample_transfer
 from isogi_core.bake.texel_light import FIRST_LEVEL, Light, round_light
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.pixel_rays import Paths
 from isogi_core.model.scene_plan import MAX_SAMPLES, Layer
 from isogi_core.plan.budget import BYTE_ROUNDING, HALF_ONE
-from isogi_report.bench import UNREACHED_GOAL, ViewBake
+from isogi_report.bench import ViewBake
 from tests.stability.scenes import body_volume, is_finite, lit, view_bake, view_of
 
 EXPECTED = {"half floats": HALF_ONE, "bytes": BYTE_ROUNDING, "single floats": 1e-7}
@@ -89,7 +89,7 @@ def test_the_light_of_a_texel_is_the_mean_of_its_samples(count: int) -> None:
         texels = bake.texels[:8]
         spec = bake.spec
         kept, exact = (Light.dark(spec.plan, len(texels)) for _ in range(2))
-        refine(kept, texels, spec, count, UNREACHED_GOAL)
+        refine(kept, texels, spec, count, Goal(1e-9))
         place, void = locate(texels, spec.prepared)
         layers = spec.plan.layers
         for part, (halves, _) in zip(
