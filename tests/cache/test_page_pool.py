@@ -346,6 +346,7 @@ PLANS = (
 )
 LOOKS = [look_of(plan) for plan in PLANS]
 SPEC = LOOKS[0]
+THREE = look_of(plan_of(Layer("direct", 2), Layer("indirect", 2), Layer("whole")))
 
 
 def light_of(samples: list[list[int]], spec: BakeSpec = SPEC) -> Light:
@@ -435,22 +436,24 @@ def test_stamps_tell_any_two_states_of_a_texel_apart() -> None:
     assert np.array_equal(fewest_samples(stamps, 2), np.minimum(direct, indirect))
 
 
-def test_stamps_change_with_light_that_is_shown_without_samples() -> None:
+@pytest.mark.parametrize("spec", [SPEC, THREE], ids=["two parts", "three parts"])
+def test_stamps_change_with_light_that_is_shown_without_samples(spec: BakeSpec) -> None:
     """Frames of an earlier plan's light, which may grow, must not pass for the same."""
-    light = light_of([[0, 0, 0, 64], [64, 0, 0, 64]])
-    dark = filled(light)[0].stamp
+    parts = len(spec.plan.layers)
+    light = light_of([[0, 0, 0, 64], *[[64, 0, 0, 64]] * (parts - 1)], spec)
+    dark = filled(light, spec)[0].stamp
     rng = np.random.default_rng(1)
     seen = [dark[:3]]
     for part in light.parts * 10:
         part.coefficients[:] = rng.normal(size=part.coefficients.shape).astype(np.float16)
-        seen.append(filled(light)[0].stamp[:3])
+        seen.append(filled(light, spec)[0].stamp[:3])
     assert (
         all((one != other).any() for one, other in pairwise(seen))
         and len(set(np.ravel(seen).tolist())) > 30
     )
     assert (
-        np.array_equal(fewest_samples(seen[-1], 2), [0, 0, 0])
-        and filled(light)[0].stamp[3] == dark[3]
+        np.array_equal(fewest_samples(seen[-1], parts), [0, 0, 0])
+        and filled(light, spec)[0].stamp[3] == dark[3]
     )
     assert np.max(seen) < 2**24, "single floats count no further"
 

@@ -18,7 +18,7 @@ from isogi_core.plan.budget import BYTE_ROUNDING, HALF_ONE
 from isogi_report.bench import ViewBake
 from tests.stability.scenes import body_volume, is_finite, lit, view_bake, view_of
 
-EXPECTED = {"half floats": HALF_ONE, "bytes": BYTE_ROUNDING, "single floats": 1e-7}
+EXPECTED = {"half floats": HALF_ONE, "bytes": BYTE_ROUNDING, "single floats": 4e-8}
 """The error that the planner expects of rounding, by how one number is kept."""
 
 
@@ -49,8 +49,11 @@ def test_the_sum_of_paths_is_that_of_exact_addition() -> None:
 
 @pytest.mark.parametrize("kept", EXPECTED)
 def test_rounded_means_of_a_million_err_as_the_planner_expects(kept: str) -> None:
-    """Root mean square over texels, where a mean is rounded whenever its samples double."""
-    assert math.sqrt(float((errors_of_means(kept) ** 2).mean())) <= EXPECTED[kept]
+    """Root mean square over texels, where a mean is rounded whenever its samples double; no plan
+    is to keep more bytes than that takes.
+    """
+    found = math.sqrt(float((errors_of_means(kept) ** 2).mean()))
+    assert 0.6 * EXPECTED[kept] <= found <= EXPECTED[kept]
 
 
 @pytest.mark.parametrize("kept", EXPECTED)

@@ -237,8 +237,9 @@ def test_planes_leave_the_voxels_before_them(text: str, left: tuple[range, ...])
     inside[tuple(slice(each.start, each.stop) for each in left[::-1])] = True
     assert np.array_equal(cut.voxels[inside], volume.voxels[inside])
     taken = cut.voxels[~inside]
-    # Of values from 0 to 1, the face of any isovalue is within an eighth of a voxel of the last.
-    assert (taken <= -7.0).all() and len({*taken.tolist()}) <= 1
+    # Of values from 0 to 1, the face of any isovalue is within an eighth of a voxel of the last;
+    # were it nearer by as much again, edges beside it would be rounder.
+    assert (taken <= -7.0).all() and (taken >= -10.0).all() and len({*taken.tolist()}) <= 1
 
 
 @pytest.mark.parametrize(
