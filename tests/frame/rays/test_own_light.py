@@ -128,6 +128,7 @@ def test_all_are_chosen_where_nothing_else_will_do(controls: ControlPixels) -> N
 
 
 def test_growing_light_says_what_is_left_of_it() -> None:
+    """Ten points are to have two replicas of a hundred paths each."""
     places = np.arange(10)
     begun = Growth(Choice(places, 10 * 0.1**2, 100.0, NONE), PixelLight.none())
     assert begun.left == begun.choice.paths == 10 * 2 * 100
