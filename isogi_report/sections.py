@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -19,18 +19,18 @@ Cell = str | float | None
 or None if it does not apply or was not measured.
 """
 
-COLUMN_UNITS = ("text", "count", "share", "seconds", "bytes", "number")
-"""Units of columns and axes. A ``share`` is a ratio, 1 for all of it;
+Unit = Literal["text", "count", "share", "seconds", "bytes", "number"]
+"""Unit of a column or an axis. A ``share`` is a ratio, 1 for all of it;
 ``seconds`` are of the processor, all threads together.
 """
 
 
 @dataclass(frozen=True)
 class Column:
-    """The head of a column; its ``unit`` is one of COLUMN_UNITS."""
+    """The head of a column."""
 
     name: str
-    unit: str = "text"
+    unit: Unit = "text"
 
 
 @dataclass(frozen=True)

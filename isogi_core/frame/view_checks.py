@@ -29,7 +29,6 @@ from isogi_core.frame.rays.picture_plan import (
     AWAITED,
     HEAVIER,
     LIGHTER,
-    SHARED_PRICES,
     Prices,
     rungs_above,
 )
@@ -139,9 +138,8 @@ class ViewChecks(Refinement[PictureCheck]):
                 uncertainty = np.hypot(uncertainty, doubt_of_transfer(frame))
         else:
             uncertainty = self._uncertainty(frame, found, shot)
-        # Light that was traced for other views comes first, as it costs no paths. A picture that
-        # stands for others goes without it: texels are to serve all of them.
-        if found.untouched and not frame.provisional and prices != SHARED_PRICES:
+        # Light that was traced for other views comes first, as it costs no paths.
+        if found.untouched and not frame.provisional and prices.carries:
             # The picture is measured with that light, and perhaps once more without it. If it
             # spares few paths, it costs more than it brings.
             carried = self._carried(shot, uncertainty)

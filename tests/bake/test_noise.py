@@ -11,7 +11,6 @@ import pytest
 
 from isogi_core.bake.bake_spec import BakeSpec, band_of, spec_for, square_light
 from isogi_core.bake.noise import (
-    DECAYS,
     Effort,
     Goal,
     blend_noise,
@@ -31,7 +30,7 @@ from isogi_core.bake.noise import (
 )
 from isogi_core.bake.texel_light import VOID, Light, Part
 from isogi_core.kernels.shading.lattice import LIGHT_NUMBERS, light_texels
-from isogi_core.model.scene_plan import MIN_SAMPLES, Layer, most_samples
+from isogi_core.model.scene_plan import Layer, most_samples
 from isogi_core.prepared.prepared_scene import PreparedScene
 from tests.bake.texels import (
     baked,
@@ -118,14 +117,14 @@ def test_the_strictest_goal_covers_all_and_none_covers_it() -> None:
 
 def test_a_texel_is_done_when_good_enough_spent_or_void() -> None:
     spec = orbital(sky=False)
-    light = light_of(spec, [[MIN_SAMPLES, MIN_SAMPLES, most_samples(0.01), VOID, 0]], noise=1.0)
+    light = light_of(spec, [[64, 64, most_samples(0.01), VOID, 0]], noise=1.0)
     light.parts[0].noise[1] = 0.0
     assert finished(light, spec, Goal(0.01)).tolist() == [False, True, True, True, False]
     light.parts[0].noise[:] = 0.0
     assert finished(light, spec, Goal(0.01)).tolist() == [True, True, True, True, False], (
         "unlit is never done"
     )
-    light.parts[0].samples[0] = MIN_SAMPLES // 2
+    light.parts[0].samples[0] = 32
     assert not finished(light, spec, Goal(0.01))[0], "few paths that all died say nothing"
 
 
@@ -133,7 +132,7 @@ def test_all_parts_must_have_the_fewest_samples() -> None:
     most = most_samples(0.5)
     light = light_of(
         orbital(),
-        [[MIN_SAMPLES, MIN_SAMPLES, MIN_SAMPLES // 2, most], [0, MIN_SAMPLES, MIN_SAMPLES, most]],
+        [[64, 64, 32, most], [0, 64, 64, most]],
         noise=0.0,
     )
     assert finished(light, orbital(), Goal(0.5)).tolist() == [False, True, False, True]
@@ -143,7 +142,7 @@ def test_the_frame_and_the_bake_agree_on_final_light() -> None:
     """The frame judges errors that were rounded to single floats."""
     goal = Goal(0.02)
     errors = goal.texel_error * (1.0 + np.linspace(-1e-8, 1e-8, 201))
-    samples = np.full(201, MIN_SAMPLES)
+    samples = np.full(201, 64)
     final = good_enough(errors, samples, goal)
     assert 0 < final.sum() < 201
     assert good_enough(errors.astype(np.float32), samples, goal)[final].all()
@@ -191,18 +190,15 @@ def test_noise_of_halves_is_the_standard_error_of_their_mean() -> None:
 def test_pooled_noise_falls_as_stratified_points_do() -> None:
     former = np.array([[0.1, 0.3]], np.float32)
     latest = np.array([[0.2, 0.4]])
-    decay = DECAYS["direct"]
-    low = 0.38 * 0.025
-    high = 0.38 * 0.025 + 0.24 * (0.125 - 0.025)
+    decay = 0.4, 0.25
+    low = 0.4 * 0.025
+    high = 0.4 * 0.025 + 0.25 * (0.125 - 0.025)
     np.testing.assert_allclose(
         blend_noise(former, 64, latest, decay), np.sqrt([[low, high]]), rtol=1e-6
     )
     assert blend_noise(np.zeros((1, 2), np.float32), 0, latest, decay) is latest
     quiet = np.array([[0.2, 0.1]])
-    np.testing.assert_allclose(blend_noise(quiet, 16, quiet, decay), np.sqrt(0.38) * quiet)
-    assert all(0.2 < share <= 0.5 for decay in DECAYS.values() for share in decay), (
-        "never worse than random points"
-    )
+    np.testing.assert_allclose(blend_noise(quiet, 16, quiet, decay), np.sqrt(0.4) * quiet)
 
 
 # --- calibration
@@ -415,7 +411,7 @@ ERRORS = GOAL.texel_error
 def test_samples_follow_the_rate_of_errors_up_to_a_level() -> None:
     error = ERRORS * np.array([4.0, 2.0, 1.02, 60.0, 0.2])
     samples = np.array([64, 64, 64, 64, 16])
-    goals = [512, 256, 128, GOAL.most_samples, MIN_SAMPLES]  # 64 · 4^1.5 = 512, 64 · 2^1.5 = 181
+    goals = [512, 256, 128, GOAL.most_samples, 64]  # 64 · 4^1.5 = 512, 64 · 2^1.5 = 181
     assert (samples + samples_left(error, samples, GOAL)).tolist() == goals
 
 
@@ -451,10 +447,10 @@ def test_unlit_texels_are_expected_to_need_what_others_do() -> None:
     chunks = np.array([0, 0, 0, 1, 3])
     error = ERRORS * np.array([4.0, 2.0, 180.0, 180.0, 0.2])
     first, second, last = samples_needed(error[[0, 1, 4]], samples[[0, 1, 4]], GOAL)
-    assert (first, second, last) == (512, 256, MIN_SAMPLES)
+    assert (first, second, last) == (512, 256, 64)
     assert expected_samples(chunks, 4, error, samples, GOAL).tolist() == [
         1.5 * (512 + 256),
         0.0,
         0.0,
-        MIN_SAMPLES,
+        64,
     ]

@@ -5,7 +5,7 @@ import pytest
 
 from benchmarks.accuracy.sequences import Shot, jumps, sequences, slide, turn
 from isogi_core.plan.assembly import load_scene
-from isogi_core.reference import REFERENCE_REPLICAS, Reference
+from isogi_core.reference import Reference
 from isogi_report.speed import view_of
 from tests.benchmarks.parts import figures
 
@@ -13,11 +13,9 @@ SHAPE = (40, 50)
 
 
 def truth(light: np.ndarray, on: np.ndarray, spread: float = 0.0, seed: int = 0) -> Reference:
-    """A reference of this luminance, whose replicas are ``spread`` about it."""
-    noise = spread * np.random.default_rng(seed).standard_normal(
-        (int(on.sum()), REFERENCE_REPLICAS, 1)
-    )
-    sums = (light[on][:, None, None] + noise) * np.ones(3) / REFERENCE_REPLICAS
+    """A reference of this luminance, whose eight replicas are ``spread`` about it."""
+    noise = spread * np.random.default_rng(seed).standard_normal((int(on.sum()), 8, 1))
+    sums = (light[on][:, None, None] + noise) * np.ones(3) / 8
     mean = np.zeros((*SHAPE, 3), np.float32)
     mean[on] = sums.sum(axis=1)
     return Reference(mean, np.zeros(SHAPE, np.float32), on, 1, 0.0, sums)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from isogi_core.bake.texel_light import VOID, VOID_CODE, Light, Part, round_light
+from isogi_core.bake.texel_light import VOID, Light, Part, round_light
 from isogi_core.cache.chunk_record import Chunk, Chunks, pack, record_type, unpack
 from isogi_core.model.scene_plan import Layer
 from tests.bake.texels import COLUMNS, same
@@ -102,7 +102,7 @@ def test_texels_that_are_not_lit_are_left_out_and_void_ones_kept() -> None:
         record_type(layer, TEXELS)
     )[0]
     assert np.flatnonzero(record["rung"]).tolist() == [2, 3, 9]
-    assert record["rung"][[2, 3, 9]].tolist() == [1, VOID_CODE, 2]
+    assert record["rung"][[2, 3, 9]].tolist() == [1, 255, 2]
     assert not record["light"][..., 1].any() and not record["noise"][:, 1].any()
     offsets, again = unpack(record.reshape(1).view(np.uint8), layer, TEXELS, BAKE, INDEX) or (
         None,

@@ -18,21 +18,13 @@ from isogi_core.bake.noise import (
     scatter,
     standard_error,
 )
-from isogi_core.bake.texel_light import VOID, Light, Part, level_codes
+from isogi_core.bake.texel_light import VOID, Light
 from isogi_core.cache.chunk_record import Chunk, Chunks
-from isogi_core.cache.page_pool import (
-    MAX_SAMPLE_LEVELS,
-    PAGE_TEXELS,
-    SHOWN_CHECKSUMS,
-    PagePool,
-    fewest_samples,
-    fill_rows,
-    new_rows,
-)
+from isogi_core.cache.page_pool import PagePool, fewest_samples, fill_rows, new_rows
 from isogi_core.errors import StoreError
 from isogi_core.kernels.shading.lattice import BURIED_ROW, UNLIT_ROW, VOID_ROW
 from isogi_core.kernels.shading.texel_table import Rows
-from isogi_core.model.scene_plan import MIN_SAMPLES, Layer, ScenePlan
+from isogi_core.model.scene_plan import Layer, ScenePlan
 from isogi_core.plan.scene import CHUNK_SIDES
 from isogi_core.prepared.prepared_scene import Index
 from tests.bake.texels import plan_of
@@ -40,7 +32,7 @@ from tests.bake.texels import spec_of as look_of
 from tests.cache.chunks import CONSTANT, TEXELS, spec_of
 
 
-def chunk_of(spec: BakeSpec, index: Index, level: float, texels: int = 3 * PAGE_TEXELS) -> Chunks:
+def chunk_of(spec: BakeSpec, index: Index, level: float, texels: int = 192) -> Chunks:
     """A chunk alone whose every number is ``level``, but for the 16 samples of each texel and
     layer.
     """
@@ -58,16 +50,12 @@ def empty(spec: BakeSpec, index: Index) -> Chunks:
     return Chunks.of_one(Chunk.empty(index, spec.plan))
 
 
-def pool_of(spec: BakeSpec, pages: int) -> PagePool:
-    """A pool with room for so many pages."""
+def pool_of(spec: BakeSpec, texels: int) -> PagePool:
+    """A pool with room for so many texels: whole pages, as those of all chunks here."""
     budgets = range(0, 1 << 24, 1024)
-    pool = PagePool(
-        spec,
-        budgets[
-            bisect_left(budgets, pages * PAGE_TEXELS, key=lambda n: len(PagePool(spec, n).stamp))
-        ],
-    )
-    assert len(pool.stamp) == pages * PAGE_TEXELS
+    enough = bisect_left(budgets, texels, key=lambda n: len(PagePool(spec, n).stamp))
+    pool = PagePool(spec, budgets[enough])
+    assert len(pool.stamp) == texels
     return pool
 
 
@@ -90,7 +78,7 @@ def test_the_table_leads_each_texel_to_its_light(spec: BakeSpec) -> None:
         part.coefficients[:] = rng.random(part.coefficients.shape)
         part.samples[[3, 77]] = VOID
     for part in chunk.light.parts:
-        part.samples[50] = MIN_SAMPLES
+        part.samples[50] = 64
         part.coefficients[50] = 0.0
     pool.insert(chunk)
     with pool.hold([(1, 0, 2)]) as (slots, _):
@@ -183,7 +171,7 @@ def test_pages_are_filled_upwards_also_when_they_are_used_again(spec: BakeSpec) 
 
 
 def test_the_longest_unused_chunk_makes_room(spec: BakeSpec) -> None:
-    pool = pool_of(spec, 9)
+    pool = pool_of(spec, 576)
     for i in range(3):
         pool.insert(chunk_of(spec, (0, 0, i), i))
     with pool.hold([(0, 0, 0)]):
@@ -193,7 +181,7 @@ def test_the_longest_unused_chunk_makes_room(spec: BakeSpec) -> None:
 
 
 def test_few_slots_are_shared_too(spec: BakeSpec) -> None:
-    pool = pool_of(spec, 9)
+    pool = pool_of(spec, 576)
     slots = len(pool.table)
     assert 4 <= slots <= 16, "small as the memory is"
     for i in range(slots + 1):
@@ -203,7 +191,7 @@ def test_few_slots_are_shared_too(spec: BakeSpec) -> None:
 
 
 def test_held_chunks_are_not_evicted(spec: BakeSpec) -> None:
-    pool = pool_of(spec, 9)
+    pool = pool_of(spec, 576)
     for i in range(3):
         pool.insert(chunk_of(spec, (0, 0, i), i))
     with pool.hold([(0, 0, 0), (0, 0, 2)]) as (slots, _):
@@ -216,7 +204,7 @@ def test_held_chunks_are_not_evicted(spec: BakeSpec) -> None:
 
 
 def test_holding_pins_the_rows_while_newer_versions_come(spec: BakeSpec) -> None:
-    pool = pool_of(spec, 9)
+    pool = pool_of(spec, 576)
     pool.insert(chunk_of(spec, (0, 0, 0), 1.0))
     with pool.hold([(0, 0, 0)]) as (first, _):
         rows = rows_of(pool, first[0])
@@ -226,25 +214,25 @@ def test_holding_pins_the_rows_while_newer_versions_come(spec: BakeSpec) -> None
         np.testing.assert_array_equal(rows_of(pool, first[0]), rows)
         with pool.hold([(0, 0, 0)]) as (second, _):
             assert levels(pool, second[0]) == {19.0}
-    pool.insert(chunk_of(spec, (1, 1, 1), 5.0, texels=6 * PAGE_TEXELS))
+    pool.insert(chunk_of(spec, (1, 1, 1), 5.0, texels=384))
     assert not pool.missing([(0, 0, 0)])
 
 
 def test_held_twice_is_freed_once(spec: BakeSpec) -> None:
-    pool = pool_of(spec, 4)
-    pool.insert(chunk_of(spec, (0, 0, 0), 1.0, texels=2 * PAGE_TEXELS))
+    pool = pool_of(spec, 256)
+    pool.insert(chunk_of(spec, (0, 0, 0), 1.0, texels=128))
     with pool.hold([(0, 0, 0)]) as (outer, _):
         with pool.hold([(0, 0, 0)]):
-            pool.insert(chunk_of(spec, (0, 0, 0), 2.0, texels=2 * PAGE_TEXELS))
+            pool.insert(chunk_of(spec, (0, 0, 0), 2.0, texels=128))
         with pytest.raises(StoreError):
-            pool.insert(chunk_of(spec, (1, 0, 0), 3.0, texels=4 * PAGE_TEXELS))
+            pool.insert(chunk_of(spec, (1, 0, 0), 3.0, texels=256))
         assert levels(pool, outer[0]) == {1.0}
-    pool.insert(chunk_of(spec, (1, 0, 0), 4.0, texels=4 * PAGE_TEXELS))
+    pool.insert(chunk_of(spec, (1, 0, 0), 4.0, texels=256))
     assert not pool.missing([(1, 0, 0)])
 
 
 def test_a_view_that_cannot_fit_is_an_error(spec: BakeSpec) -> None:
-    pool = pool_of(spec, 6)
+    pool = pool_of(spec, 384)
     wanted: list[Index] = [(0, 0, 0), (0, 0, 1), (0, 0, 2)]
     pool.insert(chunk_of(spec, (2, 2, 2), 7.0))
     pool.insert(chunk_of(spec, wanted[0], 1.0), wanted)
@@ -261,19 +249,19 @@ def test_a_view_that_cannot_fit_is_an_error(spec: BakeSpec) -> None:
 
 
 def test_a_chunk_that_cannot_fit_drops_nothing(spec: BakeSpec) -> None:
-    pool = pool_of(spec, 6)
+    pool = pool_of(spec, 384)
     spare: list[Index] = [(0, 0, 0), (0, 0, 1)]
     for index in spare:
-        pool.insert(chunk_of(spec, index, 1.0, texels=PAGE_TEXELS))
+        pool.insert(chunk_of(spec, index, 1.0, texels=64))
     with pytest.raises(StoreError):
-        pool.insert(chunk_of(spec, (1, 1, 1), 2.0, texels=7 * PAGE_TEXELS))
+        pool.insert(chunk_of(spec, (1, 1, 1), 2.0, texels=448))
     assert not pool.missing(spare)
 
 
 def test_readers_among_writers_see_whole_versions(spec: BakeSpec) -> None:
-    pool = pool_of(spec, 64)
+    pool = pool_of(spec, 4096)
     indices: list[Index] = [(0, 0, i) for i in range(6)]
-    versions = [chunk_of(spec, (0, 0, 0), level, texels=PAGE_TEXELS) for level in range(1, 9)]
+    versions = [chunk_of(spec, (0, 0, 0), level, texels=64) for level in range(1, 9)]
     wrong: list[set[float]] = []
     seen: set[float] = set()
     stop = threading.Event()
@@ -290,7 +278,7 @@ def test_readers_among_writers_see_whole_versions(spec: BakeSpec) -> None:
             with pool.hold([indices[i] for i in rng.permutation(6)[:3]]) as (slots, _):
                 for slot in slots[slots >= 0]:
                     found = levels(pool, slot) | levels(pool, slot)
-                    if len(found) != 1 or len(rows_of(pool, slot)) != PAGE_TEXELS:
+                    if len(found) != 1 or len(rows_of(pool, slot)) != 64:
                         wrong.append(found)
                     seen.update(found)
 
@@ -358,6 +346,7 @@ PLANS = (
 )
 LOOKS = [look_of(plan) for plan in PLANS]
 SPEC = LOOKS[0]
+THREE = look_of(plan_of(Layer("direct", 2), Layer("indirect", 2), Layer("whole")))
 
 
 def light_of(samples: list[list[int]], spec: BakeSpec = SPEC) -> Light:
@@ -375,7 +364,7 @@ def random_light(spec: BakeSpec, texels: int) -> Light:
     rng = np.random.default_rng(7)
     light = Light.dark(spec.plan, texels)
     for part in light.parts:
-        part.samples[:] = rng.choice([VOID, 0, 16, 32, MIN_SAMPLES, 8 * MIN_SAMPLES], texels)
+        part.samples[:] = rng.choice([VOID, 0, 16, 32, 64, 512], texels)
         part.noise[:] = rng.random(part.noise.shape) ** 4
         part.coefficients[:] = rng.normal(size=part.coefficients.shape) * 0.1
         part.coefficients[:, :, 0] = rng.random(part.coefficients.shape[:2])
@@ -389,33 +378,13 @@ def filled(light: Light, spec: BakeSpec = SPEC) -> tuple[Rows, np.ndarray]:
     return rows, fill_rows(rows, np.arange(len(light), dtype=np.int32), light, spec)
 
 
-def stamps_of(light: Light) -> np.ndarray:
-    """How far each texel is baked, in NumPy."""
-    weights = MAX_SAMPLE_LEVELS ** np.arange(len(light.parts))
-    rungs = weights @ [
-        np.where(part.samples == VOID, 0, level_codes(part.samples)) for part in light.parts
-    ]
-    shown = sum(shown_bits(part) for part in light.parts)
-    return np.asarray(
-        rungs + MAX_SAMPLE_LEVELS ** len(light.parts) * (shown % SHOWN_CHECKSUMS), np.float32
-    )
-
-
-def shown_bits(part: Part) -> np.ndarray:
-    """The bits of coefficients as numbers, summed, of texels that have no samples; 0 of the
-    others.
-    """
-    sums = part.coefficients.view(np.int32).sum(axis=(1, 2), dtype=np.int64)
-    return np.where(part.samples == 0, sums, 0)
-
-
 def places_of(light: Light) -> np.ndarray:
     """Where each texel is looked up, in NumPy."""
     none = np.array([~part.coefficients.any(axis=(1, 2)) for part in light.parts])
     straight = np.array([part.layer.kind != "indirect" for part in light.parts])
     unlit = (none & [part.samples == 0 for part in light.parts])[straight].any(axis=0)
     dark = none.all(axis=0) & all(part.layer.kind != "irradiance" for part in light.parts)
-    buried = np.where(dark & (light.samples >= MIN_SAMPLES), BURIED_ROW, np.arange(len(light)))
+    buried = np.where(dark & (light.samples >= 64), BURIED_ROW, np.arange(len(light)))
     return np.where(light.void, VOID_ROW, np.where(unlit, UNLIT_ROW, buried))
 
 
@@ -428,7 +397,8 @@ def test_rows_are_what_numpy_makes_of_the_light(spec: BakeSpec) -> None:
     np.testing.assert_allclose(
         rows.scatter, scatter(standard_error(light, spec), light, spec), rtol=2e-6
     )
-    np.testing.assert_array_equal(rows.stamp, stamps_of(light))
+    fewest = fewest_samples(rows.stamp, len(light.parts))
+    np.testing.assert_array_equal(fewest, np.where(light.void, 0, light.samples))
     np.testing.assert_array_equal(places, places_of(light))
     assert {UNLIT_ROW, VOID_ROW} <= {*places.tolist()} and (places >= 0).any()
 
@@ -466,22 +436,24 @@ def test_stamps_tell_any_two_states_of_a_texel_apart() -> None:
     assert np.array_equal(fewest_samples(stamps, 2), np.minimum(direct, indirect))
 
 
-def test_stamps_change_with_light_that_is_shown_without_samples() -> None:
+@pytest.mark.parametrize("spec", [SPEC, THREE], ids=["two parts", "three parts"])
+def test_stamps_change_with_light_that_is_shown_without_samples(spec: BakeSpec) -> None:
     """Frames of an earlier plan's light, which may grow, must not pass for the same."""
-    light = light_of([[0, 0, 0, 64], [64, 0, 0, 64]])
-    dark = filled(light)[0].stamp
+    parts = len(spec.plan.layers)
+    light = light_of([[0, 0, 0, 64], *[[64, 0, 0, 64]] * (parts - 1)], spec)
+    dark = filled(light, spec)[0].stamp
     rng = np.random.default_rng(1)
     seen = [dark[:3]]
     for part in light.parts * 10:
         part.coefficients[:] = rng.normal(size=part.coefficients.shape).astype(np.float16)
-        seen.append(filled(light)[0].stamp[:3])
+        seen.append(filled(light, spec)[0].stamp[:3])
     assert (
         all((one != other).any() for one, other in pairwise(seen))
         and len(set(np.ravel(seen).tolist())) > 30
     )
     assert (
-        np.array_equal(fewest_samples(seen[-1], 2), [0, 0, 0])
-        and filled(light)[0].stamp[3] == dark[3]
+        np.array_equal(fewest_samples(seen[-1], parts), [0, 0, 0])
+        and filled(light, spec)[0].stamp[3] == dark[3]
     )
     assert np.max(seen) < 2**24, "single floats count no further"
 
@@ -498,8 +470,8 @@ def test_texels_without_a_row_have_no_samples() -> None:
 def test_buried_are_texels_from_which_no_path_of_any_part_left() -> None:
     light = light_of(
         [
-            [MIN_SAMPLES, MIN_SAMPLES, MIN_SAMPLES, MIN_SAMPLES, 16, VOID, 4 * MIN_SAMPLES],
-            [MIN_SAMPLES, MIN_SAMPLES, MIN_SAMPLES, 0, MIN_SAMPLES, 0, MIN_SAMPLES],
+            [64, 64, 64, 64, 16, VOID, 256],
+            [64, 64, 64, 0, 64, 0, 64],
         ]
     )
     light.parts[0].coefficients[1, 0, 0] = 1e-6
@@ -510,12 +482,12 @@ def test_buried_are_texels_from_which_no_path_of_any_part_left() -> None:
 def test_dark_irradiance_is_not_buried() -> None:
     """Lights that do not move may leave a side of the surface black, which light would reach."""
     spec = look_of(plan_of(Layer("irradiance"), representation="irradiance"))
-    assert filled(light_of([[MIN_SAMPLES, VOID]], spec), spec)[1].tolist() == [0, VOID_ROW]
+    assert filled(light_of([[64, VOID]], spec), spec)[1].tolist() == [0, VOID_ROW]
 
 
 def test_reflected_light_alone_is_not_shown() -> None:
     """Direct light may be known of another layer, and then has no samples here."""
-    light = light_of([[0, 0, MIN_SAMPLES, MIN_SAMPLES], [MIN_SAMPLES, MIN_SAMPLES, 0, MIN_SAMPLES]])
+    light = light_of([[0, 0, 64, 64], [64, 64, 0, 64]])
     for part, lit in zip(light.parts, ([1, 2, 3], [0, 1, 3]), strict=True):
         part.coefficients[lit, 0, 0] = 0.5
     assert filled(light)[1].tolist() == [UNLIT_ROW, 1, 2, 3]

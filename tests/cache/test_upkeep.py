@@ -22,7 +22,7 @@ from isogi_core.bake.texel_light import FIRST_LEVEL, VOID
 from isogi_core.cache.chunk_record import Chunk, record_type
 from isogi_core.cache.chunk_store import ChunkStore, UseStamps
 from isogi_core.cache.costs import Cost, Costs
-from isogi_core.cache.inventory import CLAIMS_FOLDER, Claims
+from isogi_core.cache.inventory import Claims
 from isogi_core.cache.upkeep import (
     Audit,
     PruneRule,
@@ -246,7 +246,7 @@ def test_old_leftovers_go_and_foreign_objects_stay(chunk_store: ChunkStore) -> N
     old = folder / "0.12ab.partial"
     fresh = folder / "0.34cd.partial"
     probe = store / "probe.12ab.partial"
-    claim = store / CLAIMS_FOLDER / f"{chunk_store.layers[DIRECT].digest}.1.1.1"
+    claim = store / "claims" / f"{chunk_store.layers[DIRECT].digest}.1.1.1"
     claim.parent.mkdir()
     for path in (old, fresh, probe, claim, store / "notes.txt"):
         path.write_bytes(b"half")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from isogi_core.errors import LightError
-from isogi_core.files.probes import EXR_LIBRARY, parse_probe, read_probe
+from isogi_core.files.probes import parse_probe, read_probe
 from isogi_core.files.radiance import write_hdr
 
 LIGHT = np.random.default_rng(3).gamma(1.0, 2.0, (8, 16, 3)).astype(np.float32)
@@ -16,7 +16,7 @@ LIGHT = np.random.default_rng(3).gamma(1.0, 2.0, (8, 16, 3)).astype(np.float32)
 
 def written(path: Path, header: dict[str, Any] | None = None, **channels: np.ndarray) -> Path:
     """An OpenEXR file of these channels, of R, G and B of LIGHT unless others are given."""
-    exr = pytest.importorskip(EXR_LIBRARY)
+    exr = pytest.importorskip("OpenEXR")
     planes = channels or {name: LIGHT[..., k].copy() for k, name in enumerate("RGB")}
     given = {"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage, **(header or {})}
     with exr.File(given, planes) as file:
@@ -55,7 +55,7 @@ ACES = (0.7347, 0.2653, 0.0, 1.0, 0.0001, -0.077, 0.32168, 0.33767)
     [({"chromaticities": ACES}, "other primaries"), ({"envmap": "ENVMAP_CUBE"}, "a cube map")],
 )
 def test_what_is_no_probe_is_named(tmp_path: Path, header: dict[str, Any], said: str) -> None:
-    exr = pytest.importorskip(EXR_LIBRARY)
+    exr = pytest.importorskip("OpenEXR")
     given = {
         key: getattr(exr, value) if isinstance(value, str) else value
         for key, value in header.items()
@@ -84,7 +84,7 @@ def test_files_that_are_cut_short_are_damaged(tmp_path: Path, share: float) -> N
 
 def test_a_missing_library_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "a.exr").write_bytes(b"\x76\x2f\x31\x01 and more")
-    monkeypatch.setitem(sys.modules, EXR_LIBRARY, None)
+    monkeypatch.setitem(sys.modules, "OpenEXR", None)
     with pytest.raises(LightError, match=r"pip install 'isogi\[formats\]'"):
         read_probe(tmp_path / "a.exr")
 

@@ -14,7 +14,6 @@ from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.rays import lobe_light
 from isogi_core.frame.rays.lobe_light import find_lobes, find_starts
 from isogi_core.frame.tiles import Tiles
-from isogi_core.kernels.shading.framebuffer import BLUE_LUMINANCE, GREEN_LUMINANCE, RED_LUMINANCE
 from isogi_core.kernels.shading.lobes import (
     rim_way,
 )
@@ -31,7 +30,7 @@ FLOOR = 8.0
 EDGE = 18.0
 ROOM = np.maximum(FLOOR - Z, np.minimum(np.minimum(EDGE - X, Z - 24.0), 27.0 - Z))
 """A floor, and above it a shelf one side of which ends at x = EDGE."""
-LIGHT = np.array([RED_LUMINANCE, GREEN_LUMINANCE, BLUE_LUMINANCE], float)
+LIGHT = np.array([0.2126, 0.7152, 0.0722], np.float32).astype(float)
 SIDE = 64
 UP = np.array([0.0, 0.0, 1.0])
 

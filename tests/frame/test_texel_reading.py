@@ -29,7 +29,7 @@ from isogi_core.kernels.shading.lattice import (
     VOID_ROW,
 )
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
-from isogi_core.model.scene_plan import MIN_SAMPLES, most_samples
+from isogi_core.model.scene_plan import most_samples
 from isogi_core.model.view import View
 from tests.frame.conftest import (
     CONSTANT,
@@ -48,9 +48,9 @@ TARGET = 0.02
 def test_grades_part_missing_rough_and_good_light() -> None:
     expected = [
         (0, 0.0, 0, PARTIAL_GRADE),
-        (5, 0.01, MIN_SAMPLES // 2, CONVERGING),
-        (1, 0.04, MIN_SAMPLES, CONVERGING),
-        (2, 0.03, MIN_SAMPLES, FINAL),
+        (5, 0.01, 32, CONVERGING),
+        (1, 0.04, 64, CONVERGING),
+        (2, 0.03, 64, FINAL),
         (3, 0.04, most_samples(TARGET), FINAL),
         (UNLIT_ROW, 0.0, 0, UNBAKED_GRADE),
         (VOID_ROW, 0.0, 0, VOID_GRADE),

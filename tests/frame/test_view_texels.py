@@ -10,7 +10,7 @@ import pytest
 
 from isogi_core.frame import texel_normals
 from isogi_core.frame.demand import most_seen
-from isogi_core.frame.texel_normals import ENTRY, LatticeNormals, find_texel_normals
+from isogi_core.frame.texel_normals import LatticeNormals, find_texel_normals
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.chunks import add_footprints
 from isogi_core.kernels.shading.lattice import Lattice
@@ -65,7 +65,7 @@ def test_normals_of_other_views_are_not_found_again(
 
 
 def test_a_full_table_begins_anew() -> None:
-    known = LatticeNormals(300 * ENTRY)
+    known = LatticeNormals(6000)
     asked = list[int]()
     assert known.nbytes == 0, "nothing is taken before it is needed"
 
@@ -81,7 +81,7 @@ def test_a_full_table_begins_anew() -> None:
             got = known.of(numbers, lambda rows, numbers=numbers: find(numbers, rows), Tiles(1))
             assert np.array_equal(got[:, 0], numbers.astype(np.float32))
             assert np.array_equal(got[:, 2], (3 * numbers).astype(np.float32))
-    assert known.nbytes == 256 * ENTRY
+    assert known.nbytes == 5120, "256 texels, of 20 bytes each"
     assert asked == [60, 60, 100, 300, 172, 10], "more than it holds are found again in part"
 
 

@@ -14,11 +14,7 @@ import pytest
 from isogi_core.errors import LightError, SceneError
 from isogi_core.files.radiance import write_hdr
 from isogi_core.model.environment import (
-    FORMULAS,
-    GALLERY_HALF_SIZES,
     LUMINANCE_WEIGHTS,
-    SKYLIGHTS,
-    SOFT_BOXES,
     cumulative,
     environment_image,
     mean_radiance,
@@ -506,31 +502,30 @@ def test_its_ground_reflects_what_falls_on_it() -> None:
 
 
 def test_the_studio_has_two_boxes_where_they_stand() -> None:
+    """A large one in front and above, and one at the side that is a quarter as bright."""
     image = seen("studio")
     bright = image > 2.0 * np.median(image)
-    for (azimuth, elevation), (half, _), _ in SOFT_BOXES:
-        apart = np.degrees(np.arccos(np.clip(DIRECTIONS @ towards(azimuth, elevation), -1.0, 1.0)))
-        assert bright[apart < 0.8 * half].all()
-    apart = [DIRECTIONS @ towards(*place) for place, _, _ in SOFT_BOXES]
-    assert not bright[np.maximum(*apart) < math.cos(math.radians(45.0))].any(), (
-        "nothing else is bright"
-    )
+    apart = [
+        np.degrees(np.arccos(np.clip(DIRECTIONS @ towards(*place), -1.0, 1.0)))
+        for place in ((5.0, 42.0), (125.0, 18.0))
+    ]
+    assert bright[apart[0] < 24.0].all() and bright[apart[1] < 16.0].all()
+    assert not bright[np.minimum(*apart) > 45.0].any(), "nothing else is bright"
+    front, side = (image[each < 5.0].mean() for each in apart)
+    assert 3.0 < front / side < 4.5
 
 
 def test_the_gallery_has_as_much_glass_as_it_should() -> None:
-    """Rays to even points of the ceiling meet glass in the share of it that is glass."""
-    across, along = np.meshgrid(
-        np.linspace(-1, 1, 201) * GALLERY_HALF_SIZES[0],
-        np.linspace(-1, 1, 441) * GALLERY_HALF_SIZES[1],
-    )
-    points = np.stack([across, along, np.full_like(across, GALLERY_HALF_SIZES[2])], axis=-1)[
-        1:-1, 1:-1
-    ]
+    """Of a ceiling of 6 by 4.4, one above the eye, two strips along the room are glass: 45 %."""
+    across, along = np.meshgrid(np.linspace(-3.3, 3.3, 221), np.linspace(-2.2, 2.2, 441))
+    points = np.stack([across, along, np.ones_like(across)], axis=-1)[1:-1]
     rays = points / np.linalg.norm(points, axis=-1, keepdims=True)
-    light = FORMULAS["gallery"](rays, np.ones(rays.shape[:2])) @ LUMINANCE_WEIGHTS
-    assert (light > 2.0).mean() == pytest.approx(
-        (SKYLIGHTS[1] - SKYLIGHTS[0]) / GALLERY_HALF_SIZES[1], abs=0.01
-    )
+    image = environment_image(EnvironmentLight("gallery"), rays, np.ones(rays.shape[:2]))
+    glass = image @ LUMINANCE_WEIGHTS > 0.5 * (image @ LUMINANCE_WEIGHTS).max()
+    inside = np.abs(points[..., 0]) < 2.99
+    assert glass[inside].mean() == pytest.approx(1.0 / 2.2, abs=0.01)
+    assert not glass[np.abs(points[..., 0]) > 3.01].any(), "walls are there"
+    assert not glass[np.abs(points[..., 1]) < 0.38].any(), "a strip of ceiling is between them"
 
 
 def test_noon_is_brighter_above_and_bluer_than_the_evening() -> None:

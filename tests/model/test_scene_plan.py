@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 
 from isogi_core.model.scene_plan import (
-    MAX_SAMPLES,
-    MIN_SAMPLES,
     Layer,
     ScenePlan,
     most_samples,
@@ -53,7 +51,7 @@ def test_a_stricter_target_is_worth_more_samples() -> None:
     assert worth == sorted(worth) and worth[2] == 2048
     assert all(n & (n - 1) == 0 for n in worth), "rungs of the ladder are powers of two"
     assert (worth[0], most_samples(1e-9), most_samples(0.0)) == (
-        MIN_SAMPLES,
-        MAX_SAMPLES,
-        MAX_SAMPLES,
+        64,
+        1 << 20,
+        1 << 20,
     )

@@ -7,7 +7,6 @@ import pytest
 
 from isogi_core.errors import SceneError, ViewError
 from isogi_core.plan.assembly import load_scene
-from isogi_core.plan.scene import AMONG_KIND
 from tests.frame.conftest import shell
 
 SKIN = {"isovalue": 60.0, "clear": 0.5, "albedo": [0.8, 0.5, 0.4], "name": "skin"}
@@ -22,7 +21,7 @@ def test_a_scene_has_pinned_surfaces_and_light_that_stays() -> None:
         False,
         "irradiance",
     )
-    assert scene.bakes == {AMONG_KIND}
+    assert scene.bakes == {"among"}
     assert scene.inputs.reflecting == (0.8, 0.7, 0.7)
     told = {each.what for each in scene.left_out}
     assert {"light of pinned surfaces at each isovalue", "turning of the light"} <= told
@@ -47,7 +46,7 @@ def test_light_that_gets_through_is_planned_for() -> None:
         True,
         False,
     )
-    assert (scene.plan.representation, scene.bakes) == ("irradiance", {AMONG_KIND})
+    assert (scene.plan.representation, scene.bakes) == ("irradiance", {"among"})
     assert (
         scene.surfaces.leaving_for(None)
         == scene.inputs.albedo

@@ -14,7 +14,6 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.model.volume import Isovalue, Volume, make_volume
 from isogi_core.plan import projection
 from isogi_core.plan.projection import (
-    RANGE_BINS,
     ProjectionPlan,
     Stiffness,
     adaptive_shares,
@@ -238,13 +237,17 @@ def test_no_level_is_in_a_gap_of_the_range() -> None:
     assert max(levels) <= 10.05
 
 
-@pytest.mark.parametrize("ramps", [((0.0, 4.0), (16.0, 20.0)), ((8.0, 20.0),)])
+@pytest.mark.parametrize(
+    "ramps", [((0.0, 4.0), (16.0, 20.0)), ((8.0, 20.0),), ((3.01, 6.0), (13.0, 13.5))]
+)
 def test_no_level_is_between_or_before_surfaces(ramps: tuple[tuple[float, float], ...]) -> None:
-    """Ramps between pairs of values, with a hole after each: each level is on a ramp."""
+    """Ramps between pairs of values, with a hole after each: each level is on a ramp, to half a
+    thousandth of the range.
+    """
     layers = np.array([value for ends in ramps for value in (*ends, np.nan)])
     volume = make_volume(layers[:, None, None] * np.ones((1, 6, 6)))
-    shares, _ = adaptive_shares(volume, (0.0, 20.0), np.linspace(0.0, 1.0, 4 * RANGE_BINS))
-    part = 20.0 / RANGE_BINS
+    shares, _ = adaptive_shares(volume, (0.0, 20.0), np.linspace(0.0, 1.0, 4000))
+    part = 0.01
     for level in 20.0 * shares:
         assert any(low - part <= level <= high + part for low, high in ramps), level
 

@@ -21,7 +21,6 @@ from isogi_core.plan.albedo_nodes import (
 from isogi_core.plan.isovalue_levels import find_levels, levels_around
 from isogi_core.plan.left_out import percent
 from isogi_core.plan.materials import unrefracted
-from isogi_core.plan.scene import INSIDE_KIND
 from tests.frame.conftest import ball
 from tests.loaded import load_scene
 
@@ -48,7 +47,7 @@ def test_a_subsurface_has_a_mean_free_path_and_light_of_its_own() -> None:
     assert scene.surfaces.material.mean_free_path == 2.0
     assert scene.plan.representation == "irradiance"
     assert not scene.lighting.rotating
-    assert scene.bakes == {INSIDE_KIND}
+    assert scene.bakes == {"inside"}
     others = [
         load_scene("demo:orbital", **INSIDE, albedo=0.8, **more)
         for more in ({}, {"mean_free_path": 1})

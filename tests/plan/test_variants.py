@@ -20,7 +20,6 @@ from isogi_core.model.view import quaternion_from_angles, rotation_matrix
 from isogi_core.plan.assembly import build_scene, load_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.plan.variants import (
-    FURTHER,
     OUTER,
     Side,
     find_materials,
@@ -279,7 +278,7 @@ def test_finer_light_has_more_texels_and_bands() -> None:
     before, after = (
         {layer.kind: layer.order for layer in each.plan.layers} for each in (scene, better)
     )
-    assert after == {kind: order + FURTHER for kind, order in before.items()}
+    assert after == {kind: order + 2 for kind, order in before.items()}
     assert better.plan.order == max(after.values()) and better.plan.lobes == scene.plan.lobes
     assert not {scene.layer_digest(layer) for layer in scene.plan.layers} & set(
         map(better.layer_digest, better.plan.layers)

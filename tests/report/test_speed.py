@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from isogi_core.model.choices import VIEW_SHADINGS
 from isogi_core.plan.assembly import load_scene
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_report.speed import (
-    TIMED_SHADINGS,
     bounce,
     cast,
     isovalues_near,
@@ -46,7 +46,7 @@ def test_the_figures_are_there_and_make_sense(
     capsys: pytest.CaptureFixture[str], small_scene: Path
 ) -> None:
     figures = measured(capsys, small_scene)
-    assert set(figures["frame_ms"]) == set(TIMED_SHADINGS)
+    assert set(figures["frame_ms"]) == {*VIEW_SHADINGS} - {"path_traced"}
     assert set(figures["encode_ms"]) == {"png", "jpeg", "webp"}
     numbers = [figures[name] for name in NUMBERS]
     every = np.array(

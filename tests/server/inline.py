@@ -15,7 +15,6 @@ from isogi_core.frame.rays.picture_plan import Prices
 from isogi_core.frame.tiles import Tiles
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
-from isogi_core.storage.atomic_file import PARTIAL_SUFFIX
 from isogi_server.render.engine import RenderEngine
 from isogi_server.render.loaded_scene import LoadedScene
 from isogi_worker.pool import Done
@@ -36,6 +35,10 @@ def bake_sent(sent: bytes, done: Done) -> None:
 
 
 check = LoadedScene.check
+
+
+PATHS_ALONE = Prices(0.25, 0.0, carries=False).of_present.of_texels
+"""Prices at which paths of texels cost less than those of pixels, and tasks nothing."""
 
 
 def weigh_at(prices: Prices, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -116,6 +119,6 @@ def view_of(
 def chunks_in(store: Path) -> dict[str, str]:
     """The stored chunks by name, and the digest of each; what a kill left half-written is none."""
     files = [
-        path for path in store.glob("*/c/**/*") if path.is_file() and path.suffix != PARTIAL_SUFFIX
+        path for path in store.glob("*/c/**/*") if path.is_file() and path.suffix != ".partial"
     ]
     return {str(path.relative_to(store)): sha256(path.read_bytes()).hexdigest() for path in files}

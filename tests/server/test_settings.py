@@ -7,7 +7,7 @@ from pydantic import ValidationError
 
 from isogi_server.cli.command import run
 from isogi_server.cli.setting_options import unknown_variables
-from isogi_server.settings import LOOPBACK_HOSTS, Settings, read_settings
+from isogi_server.settings import Settings, read_settings
 
 
 def test_every_setting_is_documented() -> None:
@@ -24,8 +24,9 @@ def test_the_environment_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_hosts_are_loopback_names_on_loopback_and_any_elsewhere() -> None:
-    assert Settings(host="127.0.0.1").hosts() == LOOPBACK_HOSTS
-    assert Settings(host="127.0.0.2").hosts() == (*LOOPBACK_HOSTS, "127.0.0.2")
+    names = "127.0.0.1", "localhost", "::1"
+    assert Settings(host="127.0.0.1").hosts() == names
+    assert Settings(host="127.0.0.2").hosts() == (*names, "127.0.0.2")
     assert Settings(host="0.0.0.0").hosts() is None
 
 

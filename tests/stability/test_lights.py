@@ -15,7 +15,6 @@ from isogi_core.frame.film import develop
 from isogi_core.frame.frame import Frame
 from isogi_core.kernels.transport.harmonics import MAX_ORDER, rotate
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
-from isogi_core.model.scene_plan import MIN_SAMPLES
 from isogi_core.model.view import IDENTITY, Quaternion, rotation_matrix, unit_quaternion
 from isogi_core.plan.scene import Scene
 from isogi_server.parameters import ViewParams, read
@@ -195,7 +194,7 @@ def test_frames_without_light_are_black_and_soon_final(light: Light) -> None:
     assert not frame.provisional
     assert not frame.radiance.any()
     assert frame.noise == 0.0
-    assert 0 < bake.light.samples.max() <= MIN_SAMPLES
+    assert 0 < bake.light.samples.max() <= 64
 
 
 def test_harmonics_that_ring_below_zero_make_no_pixel_negative() -> None:
@@ -205,7 +204,7 @@ def test_harmonics_that_ring_below_zero_make_no_pixel_negative() -> None:
     light = spot(32, 64, 16, 40, 1e6)
     scene = lit(body_volume(24), 0.5, light, rotating=True, lobes=0, target_error=0.1)
     with view_bake(scene, view_of(scene, 24)) as bake:
-        bake.grow(MIN_SAMPLES)
+        bake.grow(64)
         radiance = bake.frame().radiance
     shares = (bake.light.transfer @ bake.spec.luminance_light.T)[~bake.light.void]
     assert (shares < 0.0).any()

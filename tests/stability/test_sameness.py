@@ -32,7 +32,6 @@ from isogi_core.prepared.active_cell_maps import ActiveCellMaps
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.runs import Run, serially
 from isogi_core.storage.backend import StoreUrl
-from isogi_report.bench import UNREACHED_GOAL
 from isogi_report.speed import bake_chunks, wanted_of
 from isogi_worker.tasks import BakeTask, bake
 from tests.loaded import load_scene
@@ -247,7 +246,7 @@ def baked_here(renderer: Renderer, view: View, samples: int) -> Frame:
     """The frame of a view whose light is baked by the renderer's own recipe, with so many samples
     each texel.
     """
-    goal = Goal.checked(UNREACHED_GOAL.error)
+    goal = Goal.checked(1e-9)
     if wanted := wanted_of(renderer.render(view, goal)):
         bake_chunks(renderer, view.shading, wanted, samples)
     return renderer.render(view, goal)

@@ -8,17 +8,17 @@ from functools import cache
 import numpy as np
 import pytest
 
-from isogi_core.bake.noise import mean_luminance
+from isogi_core.bake.noise import Goal, mean_luminance
 from isogi_core.bake.refine import add_to_mean, locate, refine, sample_transfer
 from isogi_core.bake.texel_light import FIRST_LEVEL, Light, round_light
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.pixel_rays import Paths
 from isogi_core.model.scene_plan import MAX_SAMPLES, Layer
 from isogi_core.plan.budget import BYTE_ROUNDING, HALF_ONE
-from isogi_report.bench import UNREACHED_GOAL, ViewBake
+from isogi_report.bench import ViewBake
 from tests.stability.scenes import body_volume, is_finite, lit, view_bake, view_of
 
-EXPECTED = {"half floats": HALF_ONE, "bytes": BYTE_ROUNDING, "single floats": 1e-7}
+EXPECTED = {"half floats": HALF_ONE, "bytes": BYTE_ROUNDING, "single floats": 4e-8}
 """The error that the planner expects of rounding, by how one number is kept."""
 
 
@@ -49,8 +49,11 @@ def test_the_sum_of_paths_is_that_of_exact_addition() -> None:
 
 @pytest.mark.parametrize("kept", EXPECTED)
 def test_rounded_means_of_a_million_err_as_the_planner_expects(kept: str) -> None:
-    """Root mean square over texels, where a mean is rounded whenever its samples double."""
-    assert math.sqrt(float((errors_of_means(kept) ** 2).mean())) <= EXPECTED[kept]
+    """Root mean square over texels, where a mean is rounded whenever its samples double; no plan
+    is to keep more bytes than that takes.
+    """
+    found = math.sqrt(float((errors_of_means(kept) ** 2).mean()))
+    assert 0.6 * EXPECTED[kept] <= found <= EXPECTED[kept]
 
 
 @pytest.mark.parametrize("kept", EXPECTED)
@@ -89,7 +92,7 @@ def test_the_light_of_a_texel_is_the_mean_of_its_samples(count: int) -> None:
         texels = bake.texels[:8]
         spec = bake.spec
         kept, exact = (Light.dark(spec.plan, len(texels)) for _ in range(2))
-        refine(kept, texels, spec, count, UNREACHED_GOAL)
+        refine(kept, texels, spec, count, Goal(1e-9))
         place, void = locate(texels, spec.prepared)
         layers = spec.plan.layers
         for part, (halves, _) in zip(

@@ -16,9 +16,9 @@ import pytest
 
 from isogi_core.errors import StoreError, StoreFullError
 from isogi_core.storage import folder as folder_module
-from isogi_core.storage.atomic_file import PARTIAL_SUFFIX, write_whole
+from isogi_core.storage.atomic_file import write_whole
 from isogi_core.storage.backend import StoredObject
-from isogi_core.storage.store import SENTINEL_KEY, Store
+from isogi_core.storage.store import Store
 
 KEY = "layer/c/0/0/0/0"
 OTHER = "layer/c/0/0/1/0"
@@ -117,7 +117,7 @@ def test_a_write_that_fails_at_any_step_changes_nothing(
 @pytest.mark.parametrize("key", [KEY, OTHER])
 def test_a_writer_that_is_killed_leaves_objects_whole(store: Store, key: str, moment: str) -> None:
     """Before it renames the file and while it has the lock, or right after."""
-    code = [sys.executable, "-c", DIES, str(store.url), SENTINEL_KEY, key, moment]
+    code = [sys.executable, "-c", DIES, str(store.url), "isogi.json", key, moment]
     assert subprocess.run(code, check=False).returncode == -signal.SIGKILL
     again = Store(store.url, make=False)
     former = StoredObject(OLD) if key == KEY else None
@@ -125,7 +125,7 @@ def test_a_writer_that_is_killed_leaves_objects_whole(store: Store, key: str, mo
     assert found == (former if moment == "replace" else StoredObject(NEW))
     assert again.get(KEY) == (found if key == KEY else StoredObject(OLD))
     assert sorted(again.keys("layer")) == sorted({KEY} | ({key} if found else set()))
-    halves = [name for name in files(again) if name.endswith(PARTIAL_SUFFIX)]
+    halves = [name for name in files(again) if name.endswith(".partial")]
     assert len(halves) == (moment == "replace"), "what is left of it is listed, to be cleaned up"
     again.put(key, b"newer light", found)
     assert again.get(key) == StoredObject(b"newer light")
@@ -150,7 +150,7 @@ def test_who_deletes_the_last_of_a_folder_hinders_no_writer(store: Store) -> Non
     finally:
         stopped.set()
         deleting.join()
-    assert files(store) == [SENTINEL_KEY, KEY]
+    assert files(store) == ["isogi.json", KEY]
 
 
 def test_a_writer_makes_the_folder_again_that_went(

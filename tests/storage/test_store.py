@@ -34,8 +34,6 @@ from isogi_core.storage.backend import StoredObject, StoreUrl
 from isogi_core.storage.folder import Copies
 from isogi_core.storage.object_store import sentence
 from isogi_core.storage.store import (
-    SENTINEL_CONTENT,
-    SENTINEL_KEY,
     Documents,
     Store,
     unwrap,
@@ -47,6 +45,7 @@ from tests.worker.clock import Clock
 
 KEY = "layer/c/0/0/0/0"
 OTHER = "layer/c/0/0/1/0"
+SENTINEL = b'{"kind": "isogi light", "format": 1}'
 IMPATIENT = {"seconds": 0.3, "retries": 0}
 
 
@@ -137,7 +136,7 @@ def test_a_writer_waits_for_the_one_that_has_the_folder(tmp_path: Path) -> None:
     """
     store = Store(tmp_path)
     store.put(KEY, b"light", None)
-    with open(tmp_path / SENTINEL_KEY, "r+b") as other, ThreadPoolExecutor(1) as threads:
+    with open(tmp_path / "isogi.json", "r+b") as other, ThreadPoolExecutor(1) as threads:
         fcntl.flock(other, fcntl.LOCK_EX)
         writing = threads.submit(store.put, KEY, b"more", store.get(KEY))
         with pytest.raises(TimeoutError):
@@ -160,7 +159,7 @@ def test_a_moved_object_is_under_its_new_name_alone(location: str) -> None:
     assert store.get("aside/0") == StoredObject(b"more") and store.get("aside/1") is None
     assert {entry.key: entry.size for entry in store.entries()} == {
         "aside/0": 4,
-        SENTINEL_KEY: len(SENTINEL_CONTENT),
+        "isogi.json": len(SENTINEL),
     }
 
 
@@ -172,8 +171,7 @@ def test_a_new_store_gets_a_sentinel(location: str) -> None:
     with pytest.raises(StoreAwayError, match="is gone"):
         Store(location, make=False).open()
     Store(location).open()
-    assert Store(location, make=False).get(SENTINEL_KEY) == StoredObject(SENTINEL_CONTENT)
-    assert json.loads(SENTINEL_CONTENT) == {"kind": "isogi light", "format": 1}
+    assert Store(location, make=False).get("isogi.json") == StoredObject(SENTINEL)
 
 
 def test_many_who_open_a_new_store_at_once_agree(location: str) -> None:
@@ -187,7 +185,7 @@ def test_many_who_open_a_new_store_at_once_agree(location: str) -> None:
 
     with ThreadPoolExecutor(len(stores)) as threads:
         list(threads.map(first, stores))
-    assert Store(location, make=False).get(SENTINEL_KEY) == StoredObject(SENTINEL_CONTENT)
+    assert Store(location, make=False).get("isogi.json") == StoredObject(SENTINEL)
     assert len(list(Store(location, make=False).keys("layer"))) == len(stores), (
         "no light of theirs is lost"
     )
@@ -204,7 +202,7 @@ def test_many_who_open_a_new_store_at_once_agree(location: str) -> None:
 def test_a_store_of_another_format_is_refused(location: str, sentinel: bytes, raised: str) -> None:
     first = Store(location)
     first.put(KEY, b"light", None)
-    first.put(SENTINEL_KEY, sentinel, first.get(SENTINEL_KEY))
+    first.put("isogi.json", sentinel, first.get("isogi.json"))
     for use in (
         lambda r: r.open(),
         lambda r: r.get(KEY),
@@ -222,7 +220,7 @@ def test_missing_objects_of_a_dead_store_are_not_absent(location: str) -> None:
     assert store.get(OTHER) is None
     other = Store(location, clock=clock)
     other.delete(KEY)
-    other.delete(SENTINEL_KEY)
+    other.delete("isogi.json")
     clock.now += 0.4
     assert store.get(OTHER) is None, "believed for a moment"
     clock.now += 2.0
@@ -247,7 +245,7 @@ def test_a_file_system_without_hard_links_is_one_too(
 
     monkeypatch.setattr("os.link", refuse)
     Store(tmp_path).put(KEY, b"light", None)
-    assert sorted(path.name for path in tmp_path.iterdir()) == [SENTINEL_KEY, "layer"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["isogi.json", "layer"]
 
 
 def test_a_folder_that_was_unmounted_is_not_baked_into(tmp_path: Path) -> None:
@@ -271,7 +269,7 @@ def test_absent_objects_do_not_read_the_sentinel_each_time(s3: S3Server) -> None
     assert methods(s3) == [f"GET {OTHER}"] * 3
     clock.now += 2.0
     assert store.get(OTHER) is None
-    assert methods(s3)[3:] == [f"GET {OTHER}", f"GET {SENTINEL_KEY}"]
+    assert methods(s3)[3:] == [f"GET {OTHER}", "GET isogi.json"]
 
 
 @pytest.mark.parametrize("fault", [500, 503, 403, "hang", "short", "drop", "no-bucket"])
@@ -287,7 +285,7 @@ def test_a_store_that_fails_is_away_and_is_let_alone_for_a_while(
             store.get(OTHER)
         assert str(raised.value).endswith(".") and "\n" not in str(raised.value)
         assert not {ACCESS_KEY, SECRET_KEY} & set(str(raised.value).replace("=", " ").split())
-    assert methods(s3) == [f"GET {OTHER}", f"GET {SENTINEL_KEY}"]
+    assert methods(s3) == [f"GET {OTHER}", "GET isogi.json"]
     s3.fault = lambda call: None
     clock.now += 2.0
     assert store.get(KEY) == StoredObject(b"light")
@@ -326,7 +324,7 @@ def test_a_call_is_tried_again_so_often_and_no_more(s3: S3Server) -> None:
     s3.fault = lambda call: 500
     with pytest.raises(StoreAwayError):
         store.get(KEY)
-    assert methods(s3)[3:] == [f"GET {KEY}"] * 3 + [f"GET {SENTINEL_KEY}"] * 3
+    assert methods(s3)[3:] == [f"GET {KEY}"] * 3 + ["GET isogi.json"] * 3
 
 
 def test_a_wrong_access_key_is_refused_and_not_repeated(
@@ -480,7 +478,7 @@ def test_objects_read_again_are_not_sent_again(s3: S3Server, copied: Store, tmp_
     assert [store.view(KEY) for store in (copied, copied)] == [LIGHT] * 2
     assert s3.sent == sent, "told that it still stands"
     assert again.view(KEY) == LIGHT
-    assert s3.sent == sent + len(SENTINEL_CONTENT), "another process asks for the sentinel"
+    assert s3.sent == sent + len(SENTINEL), "another process asks for the sentinel"
 
 
 def test_another_machines_writes_are_seen_at_once(s3: S3Server, copied: Store) -> None:

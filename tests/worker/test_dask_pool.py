@@ -20,12 +20,12 @@ from distributed.utils import LoopRunner
 from isogi_core.kernels._compilation import warm
 from isogi_worker.dask_pool import DaskPool, OwnClient, hand_on_result
 from isogi_worker.errors import LostWorkerError, WorkersAwayError, WorkersError
-from isogi_worker.tasks import OPENING_KERNELS, PLAIN_LAYER_KINDS, BakeResult, bake_kernels
+from isogi_worker.tasks import OPENING_KERNELS, BakeResult, bake_kernels
 from tests.server.sockets import wait_for
 from tests.worker.pools import LONG, bake_all, kernels_of_this_process, named, tasks_for
 
 pytestmark = pytest.mark.cluster
-BAKE = bake_kernels(PLAIN_LAYER_KINDS)
+BAKE = bake_kernels(["direct", "indirect", "irradiance"])
 METHOD = "distributed.worker.multiprocessing-method"
 ROOT = Path(__file__).resolve().parent.parent.parent
 WORKERS = 2

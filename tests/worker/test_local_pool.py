@@ -18,7 +18,7 @@ from isogi_worker.errors import LostWorkerError, WorkersAwayError, WorkersError
 from isogi_worker.fork_server import WORKER_PROCESS_NAME
 from isogi_worker.local_pool import LocalPool
 from isogi_worker.niceness import worker_niceness
-from isogi_worker.tasks import OPENING_KERNELS, PLAIN_LAYER_KINDS, bake_kernels, open_spec
+from isogi_worker.tasks import OPENING_KERNELS, bake_kernels, open_spec
 from tests.server.sockets import wait_for
 from tests.worker.pools import (
     LONG,
@@ -35,7 +35,7 @@ from tests.worker.pools import (
     tasks_for,
 )
 
-BAKE = bake_kernels(PLAIN_LAYER_KINDS)
+BAKE = bake_kernels(["direct", "indirect", "irradiance"])
 WORKERS = 2
 IRRADIANCE = bake_kernels(["irradiance"])
 CALLED = (*bake_kernels(["direct", "indirect"]), *OPENING_KERNELS)
@@ -118,7 +118,7 @@ def test_missing_kernels_are_compiled_by_a_worker_meanwhile(
     """Those of the kinds that a pool is made for at once, others with the first task that needs
     them.
     """
-    missing = set(PLAIN_LAYER_KINDS)
+    missing = {"direct", "indirect", "irradiance"}
     monkeypatch.setattr(
         "isogi_worker.local_pool.kernels_missing", lambda kinds: bool(missing & set(kinds))
     )

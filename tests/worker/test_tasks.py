@@ -23,12 +23,11 @@ from isogi_core.prepared import prepared_scene
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.prepared.shared_scenes import SharedScenes
 from isogi_core.storage.backend import StoreUrl
-from isogi_core.storage.store import SENTINEL_KEY, Store
+from isogi_core.storage.store import Store
 from isogi_worker import tasks
 from isogi_worker.tasks import (
     BAKED_ELSEWHERE,
     OPEN,
-    PLAIN_LAYER_KINDS,
     BakeResult,
     BakeTask,
     bake,
@@ -302,7 +301,7 @@ def test_a_scene_whose_files_changed_is_refused(tmp_path: Path) -> None:
         SceneError, match=r"'orbital' have changed since the server began: restart it\.$"
     ):
         bake(replace(task(tmp_path, until=16), digest="0" * 20))
-    assert [path.name for path in tmp_path.iterdir()] == [SENTINEL_KEY]
+    assert [path.name for path in tmp_path.iterdir()] == ["isogi.json"]
 
 
 def test_a_store_that_no_server_has_made_is_away(tmp_path: Path) -> None:
@@ -321,7 +320,7 @@ async def test_a_worker_answers_while_it_loads_kernels(monkeypatch: pytest.Monke
     loaded = list[bool]()
 
     def load(kinds: Collection[str]) -> None:
-        loaded.append(kinds == PLAIN_LAYER_KINDS and answered.wait(5))
+        loaded.append({*kinds} >= {"direct", "indirect"} and answered.wait(5))
 
     monkeypatch.setattr("isogi_worker.tasks.load_kernels", load)
     asyncio.get_running_loop().call_soon(answered.set)
@@ -333,7 +332,11 @@ def test_layers_need_the_kernels_of_their_kinds_alone() -> None:
     assert set(bake_kernels(["direct", "indirect"])) == {bake_texels, locate_texels}
     assert set(bake_kernels(["whole"])) == {bake_texels, locate_texels}
     assert set(bake_kernels(["irradiance"])) == {bake_irradiance, locate_texels}
-    assert set(bake_kernels(PLAIN_LAYER_KINDS)) == {bake_texels, bake_irradiance, locate_texels}
+    assert set(bake_kernels(["direct", "indirect", "irradiance"])) == {
+        bake_texels,
+        bake_irradiance,
+        locate_texels,
+    }
 
 
 def test_a_worker_without_the_files_leaves_the_same_bytes(

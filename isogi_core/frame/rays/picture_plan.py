@@ -58,12 +58,16 @@ class Prices(NamedTuple):
     """Costs in paths of pixels: of each ``path`` of a texel, of each ``task``, and of ``opening``
     finer texels; ``alone`` is the factor on paths of a picture that reads no texels. By default
     those for a picture that somebody waits for.
+
+    If ``carries``, light that was traced for other views may take the place of texels. A picture
+    that stands for others goes without it: texels are to serve all of them.
     """
 
     path: float = COUNTED_TEXEL_SHARE * HEAVIER
     task: float = TASK
     opening: float = FINER_TEXELS_COST
     alone: float = 1.0
+    carries: bool = True
 
     @property
     def of_present(self) -> "Prices":
@@ -87,7 +91,7 @@ AWAITED = Prices()
 PRESENT: Prices = AWAITED.of_present
 """Prices for a picture that somebody waits for, without finer texels."""
 
-SHARED_PRICES = Prices(COUNTED_TEXEL_SHARE, 0.0).of_present.of_texels
+SHARED_PRICES = Prices(COUNTED_TEXEL_SHARE, 0.0, carries=False).of_present.of_texels
 """Prices for a picture that stands for others, of any size: all of these read its texels, and
 none the light of its pixels.
 """

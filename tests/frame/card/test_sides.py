@@ -3,13 +3,11 @@
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
 import pytest
 
 from isogi_core.bake.noise import Goal
 from isogi_core.errors import NoRoomError
 from isogi_core.frame.card import looks
-from isogi_core.frame.card.block_format import HEADER
 from isogi_core.frame.card.looks import Look
 from isogi_core.frame.card.sides import (
     chunks_of_sides,
@@ -24,6 +22,7 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.model.view import View
 from isogi_core.plan.variants import Side
 from isogi_core.prepared.prepared_scene import Index
+from tests.card_twin import blocks_in
 from tests.frame.conftest import LOOSE, SKY, Workbench
 from tests.frame.several.drawing import bake
 from tests.loaded import load_scene
@@ -89,10 +88,10 @@ def test_blocks_are_those_that_the_list_names(bench: Workbench) -> None:
     chunks = [each.at for each in seen]
     goal, tiles = Goal.checked(LOOSE), bench.renderer.tiles
     found = known_light_of_sides(bench.renderer, view, chunks, goal, tiles)
-    heads = [np.frombuffer(each.data, HEADER, 1)[0] for each in found.blocks]
-    assert [tuple(head["at"].tolist()) for head in heads] == chunks
-    assert [bytes(head["version"]) for head in heads] == [each.version for each in seen]
-    assert all(head["counts"][1] > 0 for head in heads)
+    blocks = blocks_in(b"".join(each.data for each in found.blocks))
+    assert [block.at for block in blocks] == chunks
+    assert [bytes.fromhex(block.version) for block in blocks] == [each.version for each in seen]
+    assert all(len(block.records) for block in blocks)
     again = known_light_of_sides(bench.renderer, view, chunks[:1], goal, tiles)
     assert again.blocks[0] is found.blocks[0], "each is folded once"
     other = known_light_of_sides(bench.renderer, replace(view, isovalue=0.06), chunks, goal, tiles)

@@ -14,7 +14,7 @@ from isogi_core.frame.rays.own_light import (
     all_points,
     paths_alone,
 )
-from isogi_core.frame.rays.picture_plan import AWAITED, SHARED_PRICES
+from isogi_core.frame.rays.picture_plan import Prices
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import View
 from tests.frame.conftest import SKY, Workbench, true_error
@@ -40,7 +40,7 @@ def dear(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def lit(bench: Workbench, view: View) -> Frame:
     """The picture of a view when its check has ended; nothing is baked."""
-    while bench.renderer.refine(view, GOAL, prices=AWAITED):
+    while bench.renderer.refine(view, GOAL, prices=Prices()):
         pass
     return bench.renderer.render(view, GOAL)
 
@@ -85,7 +85,7 @@ def test_the_same_light_comes_again(bench: Workbench) -> None:
 def test_texels_come_first_where_they_are_to_be_baked(bench: Workbench) -> None:
     """A prewarm fills the store; a picture for others reads texels."""
     view = bench.view(size=SIZE)
-    for prices in (AWAITED.of_texels, SHARED_PRICES):
+    for prices in (Prices().of_texels, Prices(0.25, 0.0).of_present.of_texels):
         bench.renderer.forget_views()
         assert bench.renderer.refine(view, GOAL, prices=prices)
         frame = bench.renderer.render(view, GOAL)

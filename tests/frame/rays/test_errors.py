@@ -17,7 +17,6 @@ from isogi_core.frame.rays import pixel_rays
 from isogi_core.frame.rays.control_pixels import ControlPixels, TotalError, chances, measure_total
 from isogi_core.frame.rays.pixel_rays import pooled_variance, split_into_replicas, variance_of_mean
 from isogi_core.frame.rays.tail_error import (
-    BORDERS,
     TailError,
     bounds,
     falls_below,
@@ -330,7 +329,9 @@ def test_before_controls_pixels_err_as_their_classes_do() -> None:
     rng = np.random.default_rng(3)
     scales = np.exp(rng.normal(-4.0, 0.8, 500))
     drawn = np.abs(scales * rng.normal(size=(4000, 500)))
-    counted = np.bincount(np.searchsorted(BORDERS, drawn.ravel()), minlength=80) / drawn.size
+    # Shares are of 80 errors by equal factors from 1e-4 to 1.
+    borders = np.geomspace(1e-4, 1.0, 159)[1::2]
+    counted = np.bincount(np.searchsorted(borders, drawn.ravel()), minlength=80) / drawn.size
     shares = shares_of(scales)
     assert shares.sum() == pytest.approx(1.0)
     # About half of the prior is spread evenly: no normal error reaches the end of the grid.

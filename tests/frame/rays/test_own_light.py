@@ -15,7 +15,6 @@ from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.control_pixels import ControlPixels, spread_errors, variance_of_halves
 from isogi_core.frame.rays.own_light import (
-    REPLICAS,
     Choice,
     Growth,
     PixelLight,
@@ -80,7 +79,7 @@ def test_those_that_err_most_are_chosen(wrong: np.ndarray, controls: ControlPixe
 
 def share_of_paths(choice: Choice) -> float:
     """The paths of a choice over those that its points would take without the filter."""
-    unfiltered = len(choice.places) * NOISE**2 / REPLICAS
+    unfiltered = len(choice.places) * NOISE**2 / 2
     return float(choice.count / (PATHS * times_as_many(unfiltered, choice.variance)))
 
 
@@ -111,7 +110,7 @@ def test_no_other_number_of_points_takes_fewer_paths(
         variance = allowed * POINTS - squares[many:].sum()
         if variance <= 0.0:
             return np.inf
-        unfiltered = float(times_as_many(many * NOISE**2 / REPLICAS, variance))
+        unfiltered = float(times_as_many(many * NOISE**2 / 2, variance))
         return many * max(PATHS * share * unfiltered, fewest)
 
     least = min(cost(many) for many in range(1, POINTS + 1))
@@ -129,21 +128,22 @@ def test_all_are_chosen_where_nothing_else_will_do(controls: ControlPixels) -> N
 
 
 def test_growing_light_says_what_is_left_of_it() -> None:
+    """Ten points are to have two replicas of a hundred paths each."""
     places = np.arange(10)
     begun = Growth(Choice(places, 10 * 0.1**2, 100.0, NONE), PixelLight.none())
-    assert begun.left == begun.choice.paths == 10 * REPLICAS * 100
+    assert begun.left == begun.choice.paths == 10 * 2 * 100
     first = begun.next
     assert 8 <= first[0] <= 32, "a first step loses little if it is cancelled"
     assert (first == first[0]).all()
     begun.note(10)
-    assert begun.left == 10 * REPLICAS * 100 - 10
+    assert begun.left == 10 * 2 * 100 - 10
     known = Growth(begun.choice, light_of(places, 16, 2.0 * 0.2))
     assert not known.enough and (known.next == 32).all()
     # Twice the error takes between twice as many paths and four times as many, as plain random
     # numbers would.
     more = float(times_as_many(4.0, 1.0))
     assert 2.0 < more < 4.0
-    assert known.left == pytest.approx(10 * REPLICAS * (16 * more - 16))
+    assert known.left == pytest.approx(10 * 2 * (16 * more - 16))
     near = Growth(begun.choice, light_of(places, 64, 2.0 * 0.11))
     assert (near.next > 64).all() and (near.next < 128).all()
     assert Growth(begun.choice, light_of(places, 128, 2.0 * 0.09)).enough
@@ -151,7 +151,7 @@ def test_growing_light_says_what_is_left_of_it() -> None:
 
 def test_more_points_begin_with_as_many_paths_as_others_have() -> None:
     grown = Growth(Choice(np.arange(20), 1.0, 40.0, NONE), light_of(np.arange(10), 32, 0.1))
-    assert (grown.next == 32).all() and grown.left == REPLICAS * (20 * 40.0 - 10 * 32)
+    assert (grown.next == 32).all() and grown.left == 2 * (20 * 40.0 - 10 * 32)
 
 
 def test_points_without_light_alone_take_more_paths() -> None:

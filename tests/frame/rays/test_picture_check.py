@@ -29,9 +29,6 @@ from isogi_core.frame.rays.control_pixels import (
 )
 from isogi_core.frame.rays.picture_check import PictureCheck
 from isogi_core.frame.rays.picture_plan import (
-    AWAITED,
-    PRESENT,
-    SHARED_PRICES,
     Ahead,
     PixelLightCost,
     Plan,
@@ -56,6 +53,12 @@ from tests.frame.conftest import CONSTANT, SKY, Workbench, luminance, refine_chu
 
 Make = Callable[..., Workbench]
 TARGET = 0.05
+
+WAITED_FOR = Prices().of_present
+"""Prices of a picture that somebody waits for."""
+
+PATHS_ALONE = Prices(0.25, 0.0, carries=False).of_present.of_texels
+"""Prices at which paths of texels cost less than those of pixels, and tasks nothing."""
 
 
 def checked(bench: Workbench, view: View, target: float | None = None) -> Frame:
@@ -197,7 +200,7 @@ def climbed(bench: Workbench, view: View, target: float) -> list[Frame]:
     A rung costs its paths alone: of small pictures the tasks would cost more.
     """
     frames = [baked_so_far(bench, view, target)]
-    while bench.renderer.refine(view, Goal.checked(target), prices=SHARED_PRICES):
+    while bench.renderer.refine(view, Goal.checked(target), prices=PATHS_ALONE):
         frames.append(baked_so_far(bench, view, target))
     return frames
 
@@ -313,7 +316,7 @@ def test_a_rung_is_for_noise_that_it_takes_away(
         quality=quality, noise=0.02, measured=total, surface=9, final=False, transferred=0
     )
     unused: Any = None
-    PictureCheck(unused, state).advance(frame, np.empty(0), unused, PRESENT)
+    PictureCheck(unused, state).advance(frame, np.empty(0), unused, WAITED_FOR)
     assert taken == [step]
 
 
@@ -366,7 +369,7 @@ def test_controls_of_a_rung_tell_of_the_next_one_first(workbench: Make) -> None:
     target = 0.015
     frame = baked_so_far(bench, view, target)
     while frame.quality.samples == FIRST_LEVEL:
-        assert bench.renderer.refine(view, Goal.checked(target), prices=SHARED_PRICES)
+        assert bench.renderer.refine(view, Goal.checked(target), prices=PATHS_ALONE)
         frame = bench.renderer.render(view, Goal.checked(target))
     assert frame.outdated and frame.measured is not None and frame.demands and not frame.final
     above = baked_so_far(bench, view, target)
@@ -406,7 +409,7 @@ def test_a_frame_that_others_have_overtaken_takes_no_step(coarse: Workbench) -> 
     while (frame := renderer.render(view)).refinable and len(seen) < 6:
         seen.append(frame.total.controls)
         for _ in range(2):
-            assert renderer.surface.refine_frame(frame, Goal(TARGET), renderer.tiles, PRESENT)
+            assert renderer.surface.refine_frame(frame, Goal(TARGET), renderer.tiles, WAITED_FOR)
     assert seen[0] == 0
     assert 128 <= seen[1] <= 512, "the second step waits for a frame that shows the first"
     one, other = checked(bench, view), checked(coarse.again(), view)
@@ -524,7 +527,7 @@ def cheapest(apart: float, noise: float, texels: int) -> Plan:
     climbs = [0.0, *(16.0 * texels * (2**n - 1) for n in (1, 2, 3))]
     plans = by_rungs(own, squares, np.full(PIXELS, noise**2), climbs, CHUNKS)
     plans += by_finer(own, squares, np.full(PIXELS, noise**2), texels, CHUNKS, FIRST_LEVEL, WANTED)
-    return min(plans, key=lambda plan: plan.cost(AWAITED))
+    return min(plans, key=lambda plan: plan.cost(Prices()))
 
 
 def test_noise_asks_for_rungs() -> None:
@@ -584,7 +587,7 @@ def test_a_rung_that_costs_less_than_controls_is_ahead() -> None:
 def test_what_is_ahead_leaves_out_what_begins_now() -> None:
     own = own_light(0.05**2)
     plan = by_rungs(own, np.full(PIXELS, 0.2), np.full(PIXELS, 0.1), [0.0, 10.0, 30.0], 5)[2]
-    assert plan.cost(AWAITED) == 10 * AWAITED.task + 30.0 * AWAITED.path + plan.choice.paths
+    assert plan.cost(Prices(path=0.5, task=100.0)) == 1000.0 + 15.0 + plan.choice.paths
     assert plan.ahead(5.0, 100.0) == Ahead(plan.choice.paths + 110.0, 20.0, 3)
     now = by_rungs(own, np.full(PIXELS, 0.2), np.full(PIXELS, 0.1), [0.0], 5)[0]
     assert now.ahead(5.0, 100.0) == Ahead(100.0, 0.0, 1)

@@ -15,9 +15,8 @@ from isogi_core.bake.noise import Goal
 from isogi_core.errors import ViewError
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.lighting import RotatedLight
-from isogi_core.frame.rays.picture_plan import PRESENT
+from isogi_core.frame.rays.picture_plan import Prices
 from isogi_core.frame.rays.pixel_rays import Paths
-from isogi_core.frame.rays.point_paths import HALVES
 from isogi_core.frame.rays.shine import cast_rays, paths_from
 from isogi_core.frame.rays.shine_light import ShineLight
 from isogi_core.model.material import DULL, Shine
@@ -81,7 +80,7 @@ def test_frames_that_others_have_overtaken_cast_no_rays(polished: Workbench) -> 
     while (frame := renderer.render(view)).refinable:
         for _ in range(2):
             goal = Goal(renderer.prepared.scene.target_error)
-            renderer.surface.refine_frame(frame, goal, renderer.tiles, PRESENT)
+            renderer.surface.refine_frame(frame, goal, renderer.tiles, Prices().of_present)
     assert (frame.version, frame.total) == (alone.version, alone.total)
 
 
@@ -174,7 +173,7 @@ def test_a_picture_names_the_rays_that_it_shows(
     def overtaken(shine: ShineLight, *given: Any) -> None:
         put(shine, *given)
         rows = np.arange(len(shine.gbuffer.points))
-        shine.sums = shine.sums.joined(rows, np.ones((len(rows), HALVES, 3)), 8)
+        shine.sums = shine.sums.joined(rows, np.ones((len(rows), 2, 3)), 8)
         drawn.append(shine)
 
     with monkeypatch.context() as patch:

@@ -9,12 +9,9 @@ import pytest
 
 from isogi_core.kernels.shading import framebuffer as film
 from isogi_core.kernels.shading.framebuffer import (
-    BLUE_LUMINANCE,
     CONVERGING,
     FINAL,
-    GREEN_LUMINANCE,
     PROVISIONAL,
-    RED_LUMINANCE,
     Framebuffer,
     luminance,
     put_pixel,
@@ -58,7 +55,7 @@ def test_tallies_count_the_surface_alone():
     assert sums == pytest.approx([light.sum(), ((light * planes.error[on]) ** 2).sum()], rel=1e-5)
 
 
-LIGHT = np.array([RED_LUMINANCE, GREEN_LUMINANCE, BLUE_LUMINANCE], float)
+LIGHT = np.array([0.2126, 0.7152, 0.0722], np.float32).astype(float)
 
 
 @pytest.mark.parametrize("unit", [1.0, 2.0**-40, 2.0**60])

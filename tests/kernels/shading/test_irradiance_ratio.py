@@ -5,12 +5,9 @@ import pytest
 
 from isogi_core.frame.lighting import quadric_of
 from isogi_core.kernels.shading.framebuffer import (
-    BLUE_LUMINANCE,
     CONVERGING,
     FINAL,
-    GREEN_LUMINANCE,
     PROVISIONAL,
-    RED_LUMINANCE,
     Framebuffer,
 )
 from isogi_core.kernels.shading.irradiance_ratio import (
@@ -34,7 +31,7 @@ RNG = np.random.default_rng(5)
 LIGHT = RNG.normal(size=(3, 9)) * 0.3 + np.array([4.0] + [0.0] * 8)
 LEASTS = np.array([0.9, 0.7, 0.8], np.float32)
 UNSHADOWED = Unshadowed(np.ascontiguousarray(quadric_of(LIGHT), np.float32), LEASTS)
-WEIGHTS = np.array([RED_LUMINANCE, GREEN_LUMINANCE, BLUE_LUMINANCE], np.float64)
+WEIGHTS = np.array([0.2126, 0.7152, 0.0722], np.float32).astype(float)
 
 
 def unit(vectors):

@@ -9,12 +9,9 @@ import pytest
 from scipy.ndimage import map_coordinates
 
 from isogi_core.kernels.shading.framebuffer import (
-    BLUE_LUMINANCE,
     CONVERGING,
     FINAL,
-    GREEN_LUMINANCE,
     PROVISIONAL,
-    RED_LUMINANCE,
     Framebuffer,
 )
 from isogi_core.kernels.shading.lattice import (
@@ -97,9 +94,7 @@ def test_a_texels_light_is_transfer_times_light(channels, order, firsts):
         lit[there, 4:], np.clip(reflected, 0.0, np.maximum(colour, 0.0))[there], atol=1e-5
     )
     seen = transfer[rows, channels // 2]
-    variance = np.maximum(
-        seen @ square - (colour @ (RED_LUMINANCE, GREEN_LUMINANCE, BLUE_LUMINANCE)) ** 2, 0.0
-    )
+    variance = np.maximum(seen @ square - (colour @ LUMINANCE_WEIGHTS) ** 2, 0.0)
     # Paths vary by a fifth of their second moment at least.
     variance += 0.2 * np.maximum(seen[:, firsts] * square[firsts], 0.0).sum(axis=1)
     np.testing.assert_allclose(lit[there, 3], (noise[rows] * np.sqrt(variance))[there], atol=1e-4)

@@ -22,7 +22,6 @@ from isogi_core.frame.gbuffer import GBuffer, trace
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
-from isogi_server.answers import CARD_FORMAT
 from isogi_server.api.app import create_app
 from isogi_server.parameters import FrameParams, read
 from isogi_server.render.engine import RenderEngine
@@ -162,7 +161,7 @@ def test_the_document_tells_the_scenes_own_numbers(client: httpx.Client, scene: 
         True,
         [],
         "",
-        CARD_FORMAT,
+        3,
     )
     facts = found["scene"]
     volume = scene.volume

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from isogi_core.model.view import VIEW_SHADINGS
+from isogi_core.model.choices import VIEW_SHADINGS
 from isogi_worker import queue
 from tests.server.asking import final, numbers, pixels
 from tests.server.sockets import wait_for

@@ -673,6 +673,31 @@ async def test_first_light_is_shown_as_soon_as_it_comes(
     assert took < 0.7 if at_once else 0.7 < took < 30.0
 
 
+async def test_new_views_precede_requests_and_these_better_pictures(
+    engine: FakeEngine, app: FastAPI, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Among the work of one client, a draft comes first of all; no work lets others pass for as
+    long as a second.
+    """
+    waits: list[float] = []
+    draw = Service.frame
+
+    async def noted(service: Service, picture: Any, rank: Rank, watch: Stopwatch) -> Frame:
+        waits.append(rank.due - asyncio.get_running_loop().time())
+        return await draw(service, picture, rank, watch)
+
+    monkeypatch.setattr(Service, "frame", noted)
+    engine.coming = frozenset({(0, 0, 1), (0, 0, 2)})
+    engine.doing = engine.grow
+    await second_after(engine, app.state.service)
+    rest, better = waits[:2]
+    async with asking(app) as client:
+        await client.get(FRAME, params={"width": 4})
+    request = waits[-1]
+    draft = app.state.service.draft_rank(Viewer("a")).due - asyncio.get_running_loop().time()
+    assert draft < rest < request < better < 1.0
+
+
 @pytest.mark.parametrize("younger", [0.0, 4.0])
 async def test_pictures_of_a_view_that_has_long_been_shown_come_rarely(
     younger: float, engine: FakeEngine, app: FastAPI, monkeypatch: pytest.MonkeyPatch

@@ -21,7 +21,8 @@ from isogi_core.files.radiance import write_hdr
 from isogi_core.model.view import Camera, View
 from isogi_core.plan.assembly import load_scene
 from isogi_core.storage.atomic_file import write_whole
-from isogi_server.cli.command import VIEW_OPTIONS, WORK_OPTIONS, run
+from isogi_server.cli.arguments import VIEW_OPTIONS
+from isogi_server.cli.command import WORK_OPTIONS, run
 from isogi_server.cli.reel import Reel
 from isogi_server.cli.render import rendered, stopped_by
 from isogi_server.parameters import FrameParams, read

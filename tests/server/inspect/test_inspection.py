@@ -32,7 +32,7 @@ from isogi_server.inspect.inspection import (
     percent,
     remarks,
 )
-from isogi_server.inspect.text import LEAD_COLUMNS, full_text, inspect, shown_places
+from isogi_server.inspect.text import full_text, inspect, shown_places
 from tests.server.asking import Told
 
 needs_matplotlib = pytest.mark.skipif(
@@ -271,7 +271,7 @@ def brief_of(told: Told) -> Brief:
     def brief_of(target: Path) -> dict[str, str]:
         *lines, last = told("inspect", target).splitlines()
         assert last.startswith("--plan shows") and len(lines) <= 12 and max(map(len, lines)) <= 100
-        return {line[:LEAD_COLUMNS].strip(): line[LEAD_COLUMNS:] for line in lines}
+        return {line[:14].strip(): line[14:] for line in lines}
 
     return brief_of
 

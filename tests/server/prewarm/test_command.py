@@ -17,7 +17,6 @@ import pytest
 from isogi_core.bake.noise import Goal
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.frame import projected_texels
-from isogi_core.frame.rays.picture_plan import SHARED_PRICES
 from isogi_core.kernels.shading.framebuffer import CONVERGING
 from isogi_core.plan.assembly import load_scene
 from isogi_server.api.prewarm_jobs import RecordAges
@@ -31,7 +30,7 @@ from isogi_worker.errors import WorkersError
 from isogi_worker.pool import Done
 from isogi_worker.tasks import BakeTask
 from tests.server.asking import Told
-from tests.server.inline import InlinePool, chunks_in, view_of, weigh_at
+from tests.server.inline import PATHS_ALONE, InlinePool, chunks_in, view_of, weigh_at
 
 SIZE = {"width": 24, "height": 20}
 
@@ -143,7 +142,7 @@ def test_projected_texels_are_prewarmed_too(
 def test_a_dry_run_bakes_nothing_and_tells_what_there_is(
     blocks: Path, tmp_path: Path, told: Told, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    weigh_at(SHARED_PRICES, monkeypatch)
+    weigh_at(PATHS_ALONE, monkeypatch)
     dry = warmed(blocks, tmp_path, "0.5", dry=True)
     assert (dry.final, dry.refined, dry.stopped, chunks_in(tmp_path)) == (0.0, 0, "dry run", {})
     assert not (tmp_path / "jobs").exists()

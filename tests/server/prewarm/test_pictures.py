@@ -19,7 +19,7 @@ import pytest
 from isogi_core.bake.noise import Goal
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.errors import Cancelled
-from isogi_core.frame.rays.picture_plan import SHARED_PRICES, Prices
+from isogi_core.frame.rays.picture_plan import Prices
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.reachable_texels import surface_texels
@@ -34,7 +34,7 @@ from isogi_server.prewarm.work import Pictures, Seen
 from isogi_server.render.engine import RenderEngine
 from isogi_server.settings import Settings
 from tests.baking import bake_each_texel
-from tests.server.inline import LONG, chunks_in, weigh_at
+from tests.server.inline import LONG, PATHS_ALONE, chunks_in, weigh_at
 
 TARGET = 0.005
 VIEWS: dict[str, Any] = {"isovalues": [0.5], "views": 3, "width": 40, "height": 32}
@@ -127,7 +127,7 @@ def rungs_in(scene: Path, store: Path, low: float, high: float) -> np.ndarray:
 def test_a_prewarm_bakes_what_serving_the_view_would(
     lit: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    weigh_at(SHARED_PRICES, monkeypatch)
+    weigh_at(PATHS_ALONE, monkeypatch)
     one = VIEWS | {"views": 1, "width": 160, "height": 128, "target_error": 0.004}
     summary = warmed(lit, tmp_path / "warmed", one)
     (view,) = views_of(lit, one)
@@ -221,7 +221,7 @@ def test_a_check_can_be_cancelled_and_yields(monkeypatch: pytest.MonkeyPatch) ->
     rests: list[float] = []
     monkeypatch.setattr(work.cancelled, "wait", rests.append)
     over = threading.Event()
-    step: Any = ("a view", SHARED_PRICES, over)
+    step: Any = ("a view", PATHS_ALONE, over)
 
     def carry_out(context: PrewarmContext, *_: Any) -> SimpleNamespace:
         assert context.refine(*step) and not rests
@@ -233,7 +233,7 @@ def test_a_check_can_be_cancelled_and_yields(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(prewarm_jobs, "wanted", lambda *_: None)
     asyncio.run(work.carry_out(lambda *_: None))
     goal = Goal.checked(0.1)
-    assert asked == [("a scene", "a view", goal, work.cancelled, SHARED_PRICES, over)] * 2
+    assert asked == [("a scene", "a view", goal, work.cancelled, PATHS_ALONE, over)] * 2
 
 
 def test_a_check_ends_with_the_time() -> None:
@@ -291,7 +291,7 @@ SEVERAL = "[[surfaces]]\nisovalue = 0.7\nclear = 0.5\n[[lights]]"
 
 @pytest.mark.slow
 def test_finer_texels_are_prewarmed_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    weigh_at(Prices(SHARED_PRICES.path, 0.0, 0.0), monkeypatch)
+    weigh_at(Prices(0.25, 0.0, 0.0), monkeypatch)
     scene = tmp_path / "coarse.toml"
     order = {"directions": [AT], "distance": 3.0, "width": 128, "height": 128}
     scene.write_text(COARSE)

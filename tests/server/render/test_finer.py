@@ -12,7 +12,7 @@ from isogi_core.cache.costs import Cost
 from isogi_core.cache.upkeep import census_of
 from isogi_core.errors import NoRoomError
 from isogi_core.frame.frame import Frame
-from isogi_core.frame.rays.picture_plan import SHARED_PRICES, Prices
+from isogi_core.frame.rays.picture_plan import Prices
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene
@@ -33,7 +33,7 @@ def view_of(scene: Scene) -> View:
     return replace(small_view_of(scene), width=128, height=128)
 
 
-FREE = Prices(SHARED_PRICES.path, 0.0, 0.0)
+FREE = Prices(0.25, 0.0, 0.0)
 
 
 @pytest.fixture(autouse=True)

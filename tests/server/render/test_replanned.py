@@ -10,7 +10,7 @@ import pytest
 
 from isogi_core.frame.frame import Frame
 from isogi_core.kernels.shading.framebuffer import PROVISIONAL
-from isogi_core.model.scene_plan import MIN_SAMPLES, ScenePlan, most_samples
+from isogi_core.model.scene_plan import ScenePlan, most_samples
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from isogi_server.render.engine import RenderEngine
@@ -25,7 +25,7 @@ SETTINGS: dict[str, Any] = {
     "lights": [SKY],
     "precision": "half",
 }
-"""Each texel takes MIN_SAMPLES samples, whatever its noise."""
+"""Each texel takes 64 samples, whatever its noise."""
 
 Turn = Callable[..., "Shown"]
 
@@ -96,7 +96,7 @@ def omitted(plan: ScenePlan) -> set[str]:
 
 
 def test_texels_take_as_many_samples_in_every_plan() -> None:
-    assert most_samples(SETTINGS["target_error"]) == MIN_SAMPLES
+    assert most_samples(SETTINGS["target_error"]) == 64
 
 
 @pytest.mark.slow

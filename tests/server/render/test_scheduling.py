@@ -17,10 +17,6 @@ from isogi_server.errors import BusyError
 from isogi_server.logs import REQUEST_ID
 from isogi_server.render import update_bus
 from isogi_server.render.scheduling import (
-    DRAFT,
-    REFINEMENT_PATIENCE,
-    REQUEST_PATIENCE,
-    REST_PATIENCE,
     Client,
     FairSemaphore,
     LongRenders,
@@ -41,20 +37,18 @@ def renders() -> Iterator[Renders]:
 async def test_work_comes_in_the_order_of_its_deadlines(renders: Renders) -> None:
     order: list[float] = []
     release = threading.Event()
-    first = asyncio.create_task(
-        renders.run(lambda: release.wait(10), Rank.within(REQUEST_PATIENCE))
-    )
+    first = asyncio.create_task(renders.run(lambda: release.wait(10), Rank.within(0.4)))
     await asyncio.sleep(0.01)
     later = [
         asyncio.create_task(
             renders.run(lambda patience=patience: order.append(patience), Rank.within(patience))
         )
-        for patience in (REFINEMENT_PATIENCE, REQUEST_PATIENCE, REST_PATIENCE, DRAFT)
+        for patience in (0.8, 0.4, 0.1, 0.0)
     ]
     await asyncio.sleep(0.01)
     release.set()
     await asyncio.gather(first, *later)
-    assert order == [DRAFT, REST_PATIENCE, REQUEST_PATIENCE, REFINEMENT_PATIENCE]
+    assert order == [0.0, 0.1, 0.4, 0.8]
 
 
 class Turns:
@@ -214,8 +208,8 @@ async def test_work_that_fails_is_freed_at_once(renders: Renders) -> None:
     gc.disable()
     try:
         with suppress(ValueError):
-            await renders.share("picture", fail, Rank.within(REQUEST_PATIENCE))
-        await renders.run(lambda: None, Rank.within(REQUEST_PATIENCE))
+            await renders.share("picture", fail, Rank.within(0.4))
+        await renders.run(lambda: None, Rank.within(0.4))
         await asyncio.sleep(0.0)
         assert left[0]() is None
     finally:

@@ -6,8 +6,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from isogi_server.uploads.folder import VOLUME_KIND
-from isogi_server.uploads.uploads import READER_ENVIRONMENT
+from isogi_server.uploads.uploads import reader_environment
 
 CODE = """
 import json, sys, warnings
@@ -27,7 +26,7 @@ MOST = 64 << 20
 """Voxels that an upload may have by default."""
 
 
-def read_measured(path: Path, kind: str = VOLUME_KIND) -> tuple[dict[str, str], int]:
+def read_measured(path: Path, kind: str = "volume") -> tuple[dict[str, str], int]:
     """What the reader answers to a file of a kind, and the most memory that it took, in
     megabytes.
     """
@@ -35,7 +34,7 @@ def read_measured(path: Path, kind: str = VOLUME_KIND) -> tuple[dict[str, str], 
         files = body.fileno(), out.fileno()
         command = [sys.executable, "-c", CODE, *map(str, files), kind, str(MOST)]
         done = subprocess.run(
-            command, capture_output=True, pass_fds=files, env=READER_ENVIRONMENT, check=False
+            command, capture_output=True, pass_fds=files, env=reader_environment(), check=False
         )
     assert done.returncode == 0, (path, done.returncode, done.stderr)
     answer, peak = json.loads(done.stdout)

@@ -19,7 +19,6 @@ from isogi_core.files.formats.opening import open_file
 from isogi_core.files.grid import Grid, LabelName
 from isogi_server.errors import FullError
 from isogi_server.uploads.folder import (
-    NRRD_TYPES,
     UploadFolder,
     default_folder,
     read_volume,
@@ -165,7 +164,7 @@ def kept(
 
 
 @pytest.mark.parametrize("order", "<>")
-@pytest.mark.parametrize("kind", NRRD_TYPES)
+@pytest.mark.parametrize("kind", ["i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "f4", "f8"])
 def test_a_volume_is_read_as_it_was(tmp_path: Path, kind: str, order: str) -> None:
     path = kept(tmp_path, RAMP.astype(np.dtype(kind).newbyteorder(order)))
     array, spacing = read_nrrd(path)

@@ -18,7 +18,6 @@ import pytest
 
 from isogi_core.files.radiance import encode_rgbe
 from isogi_server.uploads import uploads
-from isogi_server.uploads.folder import ENVIRONMENT_KIND
 from isogi_server.uploads.sandbox import lacking
 from isogi_server.uploads.uploads import PYTHON_ROOT, Reader
 from tests.server.asking import Ask
@@ -56,7 +55,7 @@ def test_the_largest_probe_is_read_within_a_gigabyte(tmp_path: Path) -> None:
     row = np.random.default_rng(1).random((1, 8192, 3))
     head = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 4096 +X 8192\n"
     (tmp_path / "large.hdr").write_bytes(head + encode_rgbe(row) * 4096)
-    answer, peak = read_measured(tmp_path / "large.hdr", ENVIRONMENT_KIND)
+    answer, peak = read_measured(tmp_path / "large.hdr", "environment")
     assert "id" in answer and peak < GIGABYTE
 
 

@@ -9,10 +9,11 @@ from starlette.responses import Response
 
 from isogi_server.api.access import KnownHosts, KnownOrigins, Token, TokenBearers
 from isogi_server.bearers import Bearer
-from isogi_server.settings import LOOPBACK_HOSTS
+from isogi_server.settings import Settings
 from tests.server.api.guards.handshakes import Guarded, handshake, status
 from tests.server.asking import Ask
 
+LOOPBACK = Settings(host="127.0.0.1").hosts()
 OTHERS = [
     *(
         "evil.example",
@@ -32,12 +33,12 @@ OTHERS = [
     "host", ["127.0.0.1", "127.0.0.1:80", "localhost:8000", "LOCALHOST", "[::1]", "[::1]:8000"]
 )
 def test_loopback_names_are_known(host: str) -> None:
-    assert KnownHosts(Response(), LOOPBACK_HOSTS).knows(Headers({"host": host}))
+    assert KnownHosts(Response(), LOOPBACK).knows(Headers({"host": host}))
 
 
 @pytest.mark.parametrize("host", OTHERS)
 def test_other_names_are_not(ask: Ask, guarded: Guarded, host: str) -> None:
-    app = guarded(KnownHosts, hosts=LOOPBACK_HOSTS)
+    app = guarded(KnownHosts, hosts=LOOPBACK)
     answer = ask(app, "POST", "/data", headers={"Host": host})
     assert answer.status_code == 421
     assert answer.headers["content-type"] == "application/problem+json"
