@@ -95,7 +95,7 @@ def test_an_old_library_is_named(
 ) -> None:
     """Not the file, which newer ones read."""
     path = written(tmp_path / "a.exr")
-    monkeypatch.setattr(sys.modules[EXR_LIBRARY], "__version__", version)
+    monkeypatch.setattr(sys.modules["OpenEXR"], "__version__", version)
     with pytest.raises(LightError, match=rf"OpenEXR 3\.5 or newer, and {version} is installed"):
         read_probe(path)
 
