@@ -223,7 +223,7 @@ def test_threads_share_the_paths(bench: Workbench) -> None:
     assert found[0] is found[1] and found[0].samples == 64
 
 
-def test_light_that_turns_after_texels_came_is_that_of_the_transfer(bench: Workbench) -> None:
+def test_light_that_turns_once_texels_came_is_transferred(bench: Workbench) -> None:
     """Idle workers may have baked the texels of the view meanwhile."""
     view = bench.view(size=SIZE)
     settled(bench, view)
