@@ -125,7 +125,8 @@ class CardPlan(BaseModel):
     from ``straight`` on.
 
     ``ratios`` is true if pixels interpolate irradiance ratios, ``whole`` if texels keep direct and
-    reflected light as one, ``turns`` if the light may be rotated.
+    reflected light as one, ``turns`` if the light may be rotated: the document then has it in the
+    axes of the world, else in those of the volume's box.
     """
 
     representation: str

@@ -192,8 +192,11 @@ class CardScene:
         given = {"files": {"document": document, "slabs": names}, "size": size}
         lab.ask("window.card = await bench.loaded(given.files, given.size);", given)
 
-    def light(self, view: View, target: float, raw: bool = False) -> int:
-        """Give the card the folded light, and the ``raw`` transfer, of all chunks of a view.
+    def light(
+        self, view: View, target: float, raw: bool = False, turn: Quaternion | None = None
+    ) -> int:
+        """Give the card the folded light, and the ``raw`` transfer, of all chunks of a view, whose
+        light is turned by ``turn`` in the world if that is not the turn in the box.
 
         Returns the bytes, as a server compresses them.
         """
@@ -212,7 +215,7 @@ class CardScene:
             for answer in answers:
                 name = self.lab.put("answer", b"".join(each.data for each in answer.blocks))
                 sent += len(gzip.compress(self.lab.data[name], 1))
-                self.lab.ask("card.take(await bench.bytes('answer'), given);", view.light)
+                self.lab.ask("card.take(await bench.bytes('answer'), given);", turn or view.light)
         return sent
 
     def picture(self, view: View, rest: bool = False, **more: Any) -> Shown:

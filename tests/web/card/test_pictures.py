@@ -9,12 +9,14 @@ import pytest
 
 from isogi_core.bake.noise import Goal
 from isogi_core.frame.card.obstacles import SHADINGS
-from isogi_core.model.view import View, orthographic, read_window
-from isogi_core.model.volume import make_volume
+from isogi_core.model.view import View, light_in_box, orthographic, read_window
+from isogi_core.model.volume import Orientation, make_volume
+from isogi_core.plan.variants import remade
 from tests.frame.conftest import CONSTANT, LOOSE, SKY, Workbench, scene_of
 from tests.loaded import load_scene
 from tests.web.card.conftest import Make
 from tests.web.card.lab import (
+    IDENTITY,
     TURN,
     CardScene,
     Difference,
@@ -156,6 +158,41 @@ def test_light_of_texels_is_isogis(lab: Lab, make_bench: Make, name: str) -> Non
     card = CardScene(lab, bench.renderer, view, SIZE)
     card.light(view, LOOSE)
     assert_same(difference(card.picture(view), *plain_light(bench.renderer, view, LOOSE)))
+
+
+TILTED = Orientation(
+    ((0.0, -1.0, 0.0), (0.6, 0.0, -0.8), (0.8, 0.0, 0.6)), (100.0, -50.0, 7.0), "mm", "LPS"
+)
+
+
+@pytest.mark.parametrize("rotating", [True, False])
+def test_light_of_a_tilted_volume_is_isogis(lab: Lab, make_bench: Make, rotating: bool) -> None:
+    """Light that does not turn is kept in the volume's box, other light in the world."""
+    straight = load_scene(
+        "demo:orbital",
+        lights=[SKY],
+        rotating=rotating,
+        bounces=2,
+        target_error=LOOSE,
+        projected=False,
+    )
+    volume = replace(straight.volume, orientation=TILTED)
+    bench = make_bench(remade(straight, straight.source.document, volume))
+    assert bench.scene.lighting.rotating == rotating
+    view = view_at(bench)
+    if rotating:
+        view = replace(view, light=light_in_box(IDENTITY, TILTED))
+    bench.bake(view)
+    card = CardScene(lab, bench.renderer, view, SIZE)
+    card.light(view, LOOSE, turn=IDENTITY)
+    camera = {
+        "eye": TILTED.to_world(view.camera.eye).tolist(),
+        "target": TILTED.to_world(view.camera.target).tolist(),
+        "up": (TILTED.matrix @ view.camera.up).tolist(),
+        "fov": view.camera.fov,
+    }
+    found = card.picture(view, camera=camera, light=IDENTITY)
+    assert_same(difference(found, *plain_light(bench.renderer, view, LOOSE)))
 
 
 @pytest.fixture(scope="module")

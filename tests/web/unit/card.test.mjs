@@ -117,16 +117,20 @@ test("light is turned in the box that the volume lies in", () => {
   const term = (order) => ({ order, light: [0, 1, 2].map((c) => harmonics(order, c)), square: harmonics(order, 7) });
   const light = { terms: [term(3), term(2)], sky: term(3).light, lobes: [lobe], least: [0, 0, 0], unit: 1 };
   const model = { key: lobe.towards, follows: "light" };
-  const found = turnLight({ grid: { ...GRID, rotation }, light, model }, TURN);
+  const placed = { grid: { ...GRID, rotation }, plan: { turns: true }, light };
+  const found = turnLight({ ...placed, model }, TURN);
   const world = turnVector(TURN, lobe.towards), inBox = [0, 1, 2].map((i) => rotation.reduce((sum, row, j) => sum + row[i] * world[j], 0));
   close(found.towards[0], inBox);
   close(found.key, inBox);
   const lamp = { ...model, follows: "nothing" };
-  close(turnLight({ grid: { ...GRID, rotation }, light, model: lamp }, TURN).key, lobe.towards);
+  close(turnLight({ ...placed, model: lamp }, TURN).key, lobe.towards);
   assert.equal(found.columns.length, 13);
   const direction = [0.36, 0.48, 0.8], there = [0, 1, 2].map((i) => rotation.reduce((sum, row, j) => sum + row[i] * turnVector(TURN, direction)[j], 0));
   const first = (k) => at(found.columns.slice(0, 9).map((column) => column[k]), there);
   close([first(1), first(3)], [at(light.terms[0].light[1], direction), at(light.terms[0].square, direction)]);
+  const fixed = turnLight({ ...placed, plan: { turns: false }, model }, [1, 0, 0, 0]);
+  close([...fixed.towards[0], ...fixed.key], [...lobe.towards, ...lobe.towards]);
+  close(fixed.columns.slice(0, 9).map((column) => column[1]), light.terms[0].light[1]);
 });
 
 const CAMERA = { eye: [30, 30, 50], target: [10, 7.5, 10], up: [0, 0, 1], fov: 30 };

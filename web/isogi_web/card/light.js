@@ -34,9 +34,13 @@ export function rotationMatrix([w, x, y, z]) {
   ];
 }
 
+/** The matrix that rotates nothing. */
+const IDENTITY = rotationMatrix([1, 0, 0, 0]);
+
 /**
- * Return a rotation of the world in the axes of the volume's box: rotationᵀ · Q.
- * @param {Vec3[]} rotation axes of the box in the world, one per entry
+ * Return a rotation of the world, followed by that from the world to the volume's box:
+ * rotationᵀ · Q.
+ * @param {Vec3[]} rotation rows of the rotation from the box to the world
  * @param {Vec3[]} q rows of the rotation in the world
  * @returns {[Vec3, Vec3, Vec3]}
  */
@@ -71,14 +75,15 @@ export function quadricOf(harmonics) {
 }
 
 /**
- * Return the light of a scene after a rotation in the world.
+ * Return the light of a scene in the volume's box, after a rotation in the world.
  * @param {CardDocument} document
- * @param {Quaternion} rotation unit quaternion
+ * @param {Quaternion} rotation unit quaternion; without effect if the scene's light does not turn
  * @returns {TurnedLight}
  */
-export function turnLight({ grid, light, model }, rotation) {
-  // The harmonics of the document are in the volume's box, and so must the rotation be.
-  const matrix = inBox(grid.rotation, rotationMatrix(rotation));
+export function turnLight({ grid, plan, light, model }, rotation) {
+  // Light that turns is in the world in the document: turn it there, and bring it into the box.
+  // Light that does not turn is in the box already, as the server bakes it there.
+  const matrix = plan.turns ? inBox(grid.rotation, rotationMatrix(rotation)) : IDENTITY;
   const order = Math.max(...light.terms.map((term) => term.order), Math.sqrt(light.sky[0].length));
   const bands = bandRotations(order, matrix);
   // Rotate each colour of each term, and the squares that estimate noise, by the same bands.
