@@ -393,6 +393,18 @@ def test_specs_share_memory_by_equal_numbers_of_texels(tmp_path: Path) -> None:
     assert max(rows) - min(rows) <= 64, "but for a page"
 
 
+def test_projected_light_of_two_isovalues_stays_in_memory(tmp_path: Path) -> None:
+    prepared = spec_of().prepared
+    caches = Caches(prepared, tmp_path, BUDGET)
+    shown = prepared.scene.isovalue
+    one, two, three = (prepared.surface(share * shown).isovalue for share in (0.9, 1.0, 1.1))
+    first, second = caches.projected(one), caches.projected(two)
+    assert caches.projected(one) is first is not second
+    caches.projected(three)
+    assert caches.projected(one) is first
+    assert caches.projected(two) is not second, "it was shown longest ago"
+
+
 def test_all_scenes_of_a_store_share_its_threads(s3: S3Server) -> None:
     """Each cut, light and material of a scene has a loader of its own."""
     before = set(threading.enumerate())  # other tests' stores may still be there

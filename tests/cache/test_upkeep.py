@@ -37,7 +37,7 @@ from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.backend import StoredObject
 from isogi_core.storage.folder import Folder
 from isogi_core.storage.store import Store, unwrap, wrap
-from tests.cache.chunks import TEXELS, assert_equal, baked, file_of, shown, spec_of
+from tests.cache.chunks import CONSTANT, TEXELS, assert_equal, baked, file_of, shown, spec_of
 from tests.s3 import Call, Fault, S3Server
 from tests.worker.clock import Clock
 
@@ -306,6 +306,26 @@ def test_the_census_tells_texels_and_costs(two: ChunkStore, chunk_store: ChunkSt
         (shared, other): 2.0,
     }
     assert not census_of(chunk_store.store, texels=False).counts[own].samples
+
+
+def test_the_census_counts_void_texels_apart(tmp_path: Path) -> None:
+    store = ChunkStore(tmp_path, spec_of())
+    chunk = baked(store.spec, PLACES[0])
+    for part in chunk.light.parts:
+        part.samples[:7] = VOID
+    store.save(chunk)
+    counts = census_of(store.store).counts.values()
+    assert [(count.lit, count.void) for count in counts] == [(33, 7), (33, 7)]
+
+
+def test_the_census_tells_the_cost_of_a_single_layer(tmp_path: Path) -> None:
+    store = ChunkStore(tmp_path, spec_of(lights=[CONSTANT]))
+    store.save(baked(store.spec, PLACES[0]))
+    costs = Costs(store.store, store.spec.digest)
+    costs.add(PLACES[0], Cost(3.0, 640, 40, 0.5))
+    costs.save()
+    (layer,) = store.layers
+    assert census_of(store.store).costs == {(layer.digest,): Cost(3.0, 640, 40, 0.5)}
 
 
 def wanted(chunk_store: ChunkStore, rule: PruneRule) -> set[str]:
