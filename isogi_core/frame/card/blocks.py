@@ -10,8 +10,9 @@ import numpy as np
 from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.bake.noise import Goal
 from isogi_core.cache.page_pool import PagePool
-from isogi_core.frame.card.block_format import CODED, FOLDED, RAW, pack
+from isogi_core.frame.card.block_format import FOLDED, RAW, pack
 from isogi_core.frame.card.chunk_texels import ChunkTexels, hold_texels, with_neighbours
+from isogi_core.frame.card.coded_light import CodedLight, code_light
 from isogi_core.frame.card.coding import Coding
 from isogi_core.frame.known_blocks import Block, Packed
 from isogi_core.frame.lighting import RotatedLight
@@ -142,12 +143,12 @@ def packed(
 
 def coded_chunks(
     renderer: Renderer, chunks: Sequence[Index], goal: Goal, coding: Coding, tiles: Tiles
-) -> tuple[bytes, ...]:
-    """Pack ``chunks`` with the ``raw_numbers`` of their texels in few bits. Raises the errors
-    of ``fold_chunks``.
+) -> CodedLight:
+    """Return the light of ``chunks``: the ``raw_numbers`` of their texels in few bits. Raises the
+    errors of ``fold_chunks``.
     """
     found, about, numbers = read_raw(renderer, chunks, goal, tiles)
-    return tuple(pack(found, about, coding.codes(numbers), CODED))
+    return code_light(found, about, coding.codes(numbers))
 
 
 def read_raw(

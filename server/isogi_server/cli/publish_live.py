@@ -29,6 +29,7 @@ from isogi_server.cli.publish import PageRequest, check_output
 from isogi_server.cli.render import working
 from isogi_server.errors import ParameterError
 from isogi_server.exports.live_page import (
+    COARSE_LIGHT,
     PAGE,
     Span,
     colour_files,
@@ -241,7 +242,8 @@ def page_versions(
         facts = page_facts(renderer.prepared.scene, span, baked, baked.pictures.measure(coding))
         facts["target_error"] = planned.error
         known = {
-            "files": list(light),
+            "coarse": COARSE_LIGHT,
+            "files": [name for name in light if name != COARSE_LIGHT],
             "steps": coding.steps.tolist(),
             "background": ground_of(planned.params),
             "caption": planned.request.caption or "",

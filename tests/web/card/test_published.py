@@ -2,6 +2,7 @@
 isogi's pictures.
 """
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
-from playwright.sync_api import Browser, Page
+from playwright.sync_api import Browser, Page, Route
 
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.frame.film import develop
@@ -157,6 +158,29 @@ def test_the_page_shows_isogis_picture(page: Page, site: Site, first: np.ndarray
     assert_isogis(first, site)
     said = page.inner_text("[role=status]")
     assert "isovalues 0.01 to 0.02" in said and "relative error" in said and said.endswith("MB.")
+
+
+def test_light_is_coarse_and_says_so_until_all_is_there(
+    browser: Browser, site: Site, first: np.ndarray, tmp_path: Path
+) -> None:
+    page = browser.new_page(viewport=SIZE)  # type: ignore[arg-type]
+    page.set_default_timeout(READY_MS)
+    held: list[Route] = []
+    page.route(re.compile(r"light/\d+\.bin"), held.append)
+    page.goto(site.address)
+    coarse = seen(page, tmp_path)
+    assert "still coarse: 0 %" in page.inner_text("[role=status]")
+    assert not page.locator("#stage[data-lit]").count()
+    flat = np.ptp(first, axis=2) > 0
+    apart = np.abs(coarse - first).max(axis=2)[flat]
+    assert apart.max() > 2, "light of texels is not there"
+    assert (apart <= 16).mean() > 0.9 and abs(coarse[flat].mean() - first[flat].mean()) < 4
+    for each in held:
+        each.continue_()
+    page.wait_for_selector("#stage[data-lit]")
+    fine = seen(page, tmp_path)
+    page.close()
+    assert (np.abs(fine - first) <= 1).mean() > 0.999, "nothing of the coarse light is left"
 
 
 @pytest.mark.long

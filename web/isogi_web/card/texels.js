@@ -142,11 +142,21 @@ export class Texels {
    * @param {ArrayBuffer} answer
    * @param {string} lightKey names the turn of the light that it was folded with
    * @param {number[]} quadric unshadowed light of that turn: see `quadricOf`
-   * @param {readonly number[]} [steps] quantization step of each number, if transfer is quantized
    * @throws {Error} if the answer is damaged, or if the card has too few rows for it
    */
-  take(answer, lightKey, quadric, steps) {
-    const blocks = readBlocks(answer, steps);
+  take(answer, lightKey, quadric) {
+    this.put(readBlocks(answer), lightKey, quadric);
+  }
+
+  /**
+   * Put blocks on the card: folded light first, then raw transfer of texels whose folded light is
+   * here.
+   * @param {Block[]} blocks
+   * @param {string} lightKey
+   * @param {number[]} quadric
+   * @throws {Error} if the card has too few rows for them
+   */
+  put(blocks, lightKey, quadric) {
     const folded = blocks.filter((block) => !block.raw);
     // Allocate layers for raw transfer only when the first raw block arrives: many scenes need
     // none.
