@@ -59,6 +59,11 @@ ROUNDING_SHARES = (0.2, 0.4, 0.8, 1.6, 3.2)
 enough is taken.
 """
 
+COARSE_ROUNDING = 0.05
+"""Rounding error of coarse light, at least. Means of bricks are about as far from the light of
+texels, and are here sooner with fewer bits.
+"""
+
 SIDES_NOT_PUBLISHED = Obstacle(
     SEVERAL_SURFACES.name,
     "A folder holds the light of one surface's outer side alone.",
@@ -236,13 +241,14 @@ def page_versions(
     document = document_of(renderer, planned.params, planned.view, span)
     first = first_view(renderer, planned.params, document["scene"]["start"], settings)
     poster = poster_of(renderer, planned.params, first, Goal(context.goal.error))
-    for coding in codings:
+    for share, coding in zip(ROUNDING_SHARES, codings, strict=True):
         # Coarser codings need no new light, only other files.
-        light = light_files(renderer, span, coding, context.goal, first)
+        coarse = coding_at(renderer, max(share * planned.error, COARSE_ROUNDING))
+        light = light_files(renderer, span, (coding, coarse), context.goal, first)
         facts = page_facts(renderer.prepared.scene, span, baked, baked.pictures.measure(coding))
         facts["target_error"] = planned.error
         known = {
-            "coarse": COARSE_LIGHT,
+            "coarse": {"file": COARSE_LIGHT, "steps": coarse.steps.tolist()},
             "files": [name for name in light if name != COARSE_LIGHT],
             "steps": coding.steps.tolist(),
             "background": ground_of(planned.params),

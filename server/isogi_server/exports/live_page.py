@@ -3,6 +3,7 @@ isovalues; or all of it as one file.
 """
 
 import json
+import zlib
 from base64 import b64encode
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -14,7 +15,7 @@ from pydantic import BaseModel
 
 from isogi_core.bake.noise import Goal
 from isogi_core.frame.card.blocks import CHUNKS, coded_chunks
-from isogi_core.frame.card.coded_light import join_light, light_file, means_of
+from isogi_core.frame.card.coded_light import join_light, light_file
 from isogi_core.frame.card.coded_voxels import voxels_file
 from isogi_core.frame.card.coding import Coding
 from isogi_core.frame.card.colour_codes import ColourCodes
@@ -26,7 +27,13 @@ from isogi_core.prepared.active_cell_maps import IdleVoxels
 from isogi_core.storage.atomic_file import write_whole
 from isogi_server.answers import camera_schema, card_scene, scene_schema
 from isogi_server.card_schemas import CardSlab
-from isogi_server.exports.page_files import WEB_FOLDER, compressed, joined_modules, shaders
+from isogi_server.exports.page_files import (
+    LEVEL,
+    WEB_FOLDER,
+    compressed,
+    joined_modules,
+    shaders,
+)
 from isogi_server.parameters import FrameParams
 from isogi_server.pictures import encode
 from isogi_server.schemas import CameraSchema, Histogram, Range, SceneSchema
@@ -38,6 +45,9 @@ FIRST_PAGE_MODULE = "published/published.js"
 
 FOLDERS = ("light", "volume", "colours")
 """Folders of a page's files: light of texels, voxels, and colours by data."""
+
+GZIP_BITS = 31
+"""What zlib takes for gzip's form, with its largest window."""
 
 COARSE_LIGHT = "light/coarse.bin"
 """The file with the light of bricks, which stands in until that of texels is there."""
@@ -106,7 +116,7 @@ def volume_files(renderer: Renderer, span: Span) -> dict[str, bytes]:
     for a, b in codes.slabs:
         layers = voxels.flattened(a, b)
         needed = voxels.needed(a, b) | np.isnan(layers)
-        files[slab_name(a, b)] = compressed(voxels_file(codes.code(layers), needed))
+        files[slab_name(a, b)] = packed(voxels_file(codes.code(layers), needed))
     return files
 
 
@@ -128,10 +138,10 @@ def slab_name(first: int, last: int, folder: str = "volume") -> str:
 
 
 def light_files(
-    renderer: Renderer, span: Span, coding: Coding, goal: Goal, first: View
+    renderer: Renderer, span: Span, codings: tuple[Coding, Coding], goal: Goal, first: View
 ) -> dict[str, bytes]:
-    """Return the transfer of all texels that isosurfaces in the ``span`` read, coded in few bits,
-    and before it COARSE_LIGHT, the means of their bricks.
+    """Return the transfer of all texels that isosurfaces in the ``span`` read, in few bits by the
+    first of two ``codings``, and before it COARSE_LIGHT, the means of their bricks by the second.
 
     Texels of the ``first`` view come in the first files. Transfer is filtered if its noise exceeds
     the error of the ``goal``. Raises StoreError and Cancelled.
@@ -148,10 +158,18 @@ def light_files(
     means = []
     for number, start in enumerate(range(0, len(chunks), CHUNKS)):
         some = chunks[start : start + CHUNKS]
-        light = coded_chunks(renderer, some, goal, coding, renderer.tiles)
-        means.append(means_of(light))
-        files[f"light/{number}.bin"] = compressed(light_file(light))
-    return {COARSE_LIGHT: compressed(light_file(join_light(means))), **files}
+        texels, bricks = coded_chunks(renderer, some, goal, codings, renderer.tiles)
+        means.append(bricks)
+        files[f"light/{number}.bin"] = packed(light_file(texels))
+    return {COARSE_LIGHT: packed(light_file(join_light(means))), **files}
+
+
+def packed(content: bytes) -> bytes:
+    """Compress tables by gzip, without its time. Their bytes are noisy: few repetitions of them are
+    taken, as most happen by chance and cost more than they save.
+    """
+    packing = zlib.compressobj(LEVEL, wbits=GZIP_BITS, strategy=zlib.Z_FILTERED)
+    return packing.compress(content) + packing.flush()
 
 
 def first_view(

@@ -12,9 +12,9 @@ RNG = np.random.default_rng(11)
 SHAPE = (11, 7, 9)
 
 
-def smooth(shape: tuple[int, int, int]) -> np.ndarray:
-    """A smooth field with a little noise, about 0."""
-    z, y, x = np.indices(shape)
+def smooth(shape: tuple[int, int, int], length: float = 1.0) -> np.ndarray:
+    """A field with a little noise, about 0, which changes over 3 to 5 voxels times a length."""
+    z, y, x = np.indices(shape) / length
     return np.sin(x / 3) + np.cos(y / 4) * np.sin(z / 5) + RNG.normal(0.0, 0.03, shape)
 
 
@@ -54,7 +54,7 @@ def test_no_mark_makes_a_voxel_wrong(kind: str, share: float) -> None:
 
 
 def test_idle_voxels_take_hardly_any_bytes() -> None:
-    codes = (30.0 * smooth((32, 40, 40)) + 128.0).astype("<u1")
+    codes = (30.0 * smooth((32, 40, 40), 3.0) + 128.0).astype("<u1")
     given, needed = flattened(codes, 126.0, 130.0)
     size = len(gzip.compress(voxels_file(given, needed), 9))
     assert size < 0.75 * len(gzip.compress(given.tobytes(), 9))

@@ -57,7 +57,7 @@ def test_a_range_of_isovalues_is_published(
         and document["scene"]["start"]["isovalue"] == 0.5
     )
     named = {
-        document["light"]["coarse"],
+        document["light"]["coarse"]["file"],
         *document["light"]["files"],
         *(slab["href"] for slab in document["card"]["volume"]["slabs"]),
     }

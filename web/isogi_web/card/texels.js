@@ -118,6 +118,11 @@ export class Texels {
     );
   }
 
+  /** Return true if some bricks have a mean, and no texels. @returns {boolean} */
+  get coarse() {
+    return this.runs.some(({ blocks }) => blocks.some(isCoarse));
+  }
+
   /**
    * Return the version of each chunk on the card, the turn of its light, and true in `raw` if its
    * raw transfer is here.
@@ -398,6 +403,15 @@ function bitsOf(low, high) {
   return Array.from({ length: 64 }, (_, bit) => bit).filter(
     (bit) => ((bit < 32 ? low : high) >>> (bit & 31)) & 1,
   );
+}
+
+/**
+ * Return true if a block has means of bricks alone: then its first brick has no texels.
+ * @param {Block} block
+ * @returns {boolean}
+ */
+function isCoarse({ bricks: [low, high] }) {
+  return low === 0 && high === 0;
 }
 
 /**

@@ -45,7 +45,7 @@ async function open() {
   foldControls();
   // Read coarse light and the volume first, as the card cannot draw without them, then the light of
   // texels, that of the first view first.
-  const [coarse, ...slabs] = readAhead([light.coarse, ...slabsOf(facts)]);
+  const [coarse, ...slabs] = readAhead([light.coarse.file, ...slabsOf(facts)]);
   const files = readAhead(light.files, Promise.all([coarse, ...slabs]));
   const fits = fitsOf(scene);
   const square = fitFor(fits, 1).distance;
@@ -61,7 +61,7 @@ async function open() {
     Promise.all(slabs).then((some) => unpackSlabs(facts, some)),
   );
   // The poster stays until the card has light of the whole surface.
-  putLight(card, await coarse, light);
+  putLight(card, await coarse, light.coarse.steps);
   const draw = keepDrawn(card, published, view);
   await refineLight(card, light, files, draw);
 }
@@ -220,10 +220,10 @@ function pixelsOf(element) {
  * Put the light of a file on the card.
  * @param {Card} card
  * @param {ArrayBuffer} file
- * @param {Published["light"]} light
+ * @param {number[]} steps quantization steps of its transfer
  * @throws {Error} if the file is damaged, or if the card has too little memory
  */
-function putLight(card, file, { steps }) {
+function putLight(card, file, steps) {
   card.put(readLight(file, steps));
   if (!card.drawing?.texels.takesRaw)
     throw new Error("The graphics card has too little memory for the light of this page.");
@@ -241,7 +241,7 @@ async function refineLight(card, light, files, draw) {
   for (const [n, file] of files.entries()) {
     const share = Math.round((100 * n) / files.length);
     status.textContent = `Light is still coarse: ${share} % of the fine light is loaded.`;
-    putLight(card, await file, light);
+    putLight(card, await file, light.steps);
     draw();
   }
   status.textContent = qualityOf(light);
