@@ -60,8 +60,8 @@ enough is taken.
 """
 
 COARSE_ROUNDING = 0.05
-"""Rounding error of coarse light, at least. Means of bricks are about as far from the light of
-texels, and are here sooner with fewer bits.
+"""Rounding error of coarse light on all pages: about as large as that of means of bricks. With
+twice as much, flat sides look blotched.
 """
 
 SIDES_NOT_PUBLISHED = Obstacle(
@@ -241,9 +241,9 @@ def page_versions(
     document = document_of(renderer, planned.params, planned.view, span)
     first = first_view(renderer, planned.params, document["scene"]["start"], settings)
     poster = poster_of(renderer, planned.params, first, Goal(context.goal.error))
-    for share, coding in zip(ROUNDING_SHARES, codings, strict=True):
+    coarse = coding_at(renderer, COARSE_ROUNDING)
+    for coding in codings:
         # Coarser codings need no new light, only other files.
-        coarse = coding_at(renderer, max(share * planned.error, COARSE_ROUNDING))
         light = light_files(renderer, span, (coding, coarse), context.goal, first)
         facts = page_facts(renderer.prepared.scene, span, baked, baked.pictures.measure(coding))
         facts["target_error"] = planned.error
