@@ -95,19 +95,6 @@ def blocks_in(data: bytes, columns: int = 0) -> list[Block]:
     return found
 
 
-def read_coded(body: bytes, records: int, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers (records, steps) and words of transfer in few bits."""
-    planes = (
-        np.frombuffer(body, np.uint8, (4 + 2 * len(steps)) * records)
-        .reshape(-1, records)
-        .astype(np.int64)
-    )
-    assert not any(body[planes.size :]) and len(body) - planes.size < 8
-    words = (planes[0] | planes[1] << 8 | planes[2] << 16 | planes[3] << 24).astype(np.uint32)
-    codes = planes[4 : 4 + len(steps)] | planes[4 + len(steps) :] << 8
-    return (np.where(codes & 1, -(codes + 1) // 2, codes // 2) * steps[:, None]).T, words
-
-
 def read_folded(body: bytes, records: int) -> tuple[np.ndarray, np.ndarray]:
     """Light (records, 6) and words."""
     whole = np.frombuffer(body, "<u4").reshape(records, 4)

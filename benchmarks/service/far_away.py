@@ -1,5 +1,5 @@
 """What a visitor far away sees of the page, and of published pages: requests, bytes, and when the
-first picture, the card's first one, and all light are there.
+first picture, the card's first one (of published pages by coarse light), and all light are there.
 
     python -m benchmarks.service far-away [SCENE] [--published FOLDER …] [--megabits 1] [--trip 0.3]
 

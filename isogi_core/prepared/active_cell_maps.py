@@ -373,22 +373,27 @@ class IdleVoxels:
         Idle voxels up to the low end of the range become the greatest such value of the volume,
         those above its high end the least such. Those within the range, and holes, stay.
         """
+        (low, high) = self._range
+        (below, above) = self._sides
+        # Set idle voxels of each side to its value; those that are needed stay.
+        asked = self._voxels[first:last]
+        idle = ~self.needed(first, last)
+        sided = np.where(idle & (asked <= low), np.float32(below), asked)
+        return np.asarray(np.where(idle & (asked > high), np.float32(above), sided), np.float32)
+
+    def needed(self, first: int, last: int) -> np.ndarray:
+        """Mark the voxels of the layers from ``first`` to before ``last`` that are not idle;
+        (layers, ny, nx) bool.
+        """
         # Cells from first - VOXELS_AFTER to last - 1 + VOXELS_BEFORE read voxels of these layers:
         # take all layers in which such cells have corners.
         a = max(first - VOXELS_AFTER, 0)
         b = min(last + VOXELS_AFTER, len(self._voxels))
-        slab = self._voxels[a:b]
-        (low, high) = self._range
-        (below, above) = self._sides
         # Mark the cells that may show a surface, then the voxels that drawing them reads.
-        needed = surface_cells(slab, low, high)
+        marks = surface_cells(self._voxels[a:b], *self._range)
         for axis in range(3):
-            needed = voxels_read(needed, axis)
-        # Set idle voxels of each side to its value; those that are needed stay.
-        asked = slab[first - a : last - a]
-        idle = ~needed[first - a : last - a]
-        sided = np.where(idle & (asked <= low), np.float32(below), asked)
-        return np.asarray(np.where(idle & (asked > high), np.float32(above), sided), np.float32)
+            marks = voxels_read(marks, axis)
+        return np.asarray(marks[first - a : last - a])
 
 
 def voxels_read(cells: np.ndarray, axis: int) -> np.ndarray:

@@ -31,10 +31,7 @@ BRICK = np.dtype([("mask", "<u8"), ("first", "<u4"), ("place", "<u4")])
 
 FOLDED = 0
 RAW = 1
-CODED = 2
-"""Kinds of blocks: records of light; transfer, which a page puts under light by itself; and
-such transfer in few bits.
-"""
+"""Kinds of blocks: records of light, and transfer, which a page puts under light by itself."""
 
 
 EDGE = 2
@@ -156,72 +153,62 @@ def raw_body(words: np.ndarray, numbers: np.ndarray) -> bytes:
     return padded.tobytes() + np.ascontiguousarray(quads.transpose(1, 0, 2)).tobytes()
 
 
-NORMAL_STEPS = 64
-"""Step of normals in few bits: a tenth of a degree."""
+BODIES = {FOLDED: folded_body, RAW: raw_body}
 
 
-def coded_body(words: np.ndarray, codes: np.ndarray) -> bytes:
-    """Return records of transfer in few bits, ``codes`` (r, n), with their ``words`` (r,), byte by
-    byte: similar bytes in a row compress well.
+class Records(NamedTuple):
+    """The records of some chunks, brick by brick: those of its texels, then the mean of these. A
+    card takes the mean in place of a texel that is not there.
 
-    First come all low bytes of words' x, all high ones, and those of y. Codes follow, with their
-    signs in bit 0: low bytes of number 0, of number 1, and so on, then all high ones.
+    - ``order``: of bricks and texels.
+    - ``bounds`` (bricks + 1,): number of the first record of each brick, then of all records.
+    - ``words`` (records,): normals, or why there is no light.
+    - ``numbers`` (records, n): light, transfer or its codes.
     """
-    x = coarse((words & 0xFFFF).astype(np.uint16), words)
-    y = coarse((words >> 16).astype(np.uint16), words)
-    # Small numbers of either sign become small codes: 0, -1, 1, -2, … are 0, 1, 2, 3, …
-    signed = np.rint(codes.T).astype(np.int32)
-    folded = (signed << 1 ^ signed >> 31).astype(np.uint16)
-    planes = [x & 0xFF, x >> 8, y & 0xFF, y >> 8, folded & 0xFF, folded >> 8]
-    body = np.vstack(planes).astype(np.uint8).tobytes()
-    # Blocks end at multiples of 8 bytes.
-    return body + bytes(-len(body) % 8)
+
+    order: Order
+    bounds: np.ndarray
+    words: np.ndarray
+    numbers: np.ndarray
 
 
-def coarse(parts: np.ndarray, words: np.ndarray) -> np.ndarray:
-    """Round parts of normals' ``words`` (m,) to multiples of NORMAL_STEPS; parts of words
-    without a normal stay.
+def find_records(chunks: ChunkTexels, normals: np.ndarray, values: np.ndarray) -> Records:
+    """Return the records of ``chunks`` from the ``normals`` (m, 3) and the ``values`` (m, n) of
+    all their texels.
     """
-    most = 0x7FFF // NORMAL_STEPS
-    steps = np.clip(np.rint(parts.view(np.int16) / NORMAL_STEPS), -most, most)
-    rounded = NORMAL_STEPS * steps.astype(np.int16)
-    return np.where(np.isin(words, (*CODES.values(), FLAT)), parts, rounded.view(np.uint16))
-
-
-BODIES = {FOLDED: folded_body, RAW: raw_body, CODED: coded_body}
+    # Sort the texels of all chunks at once, by chunk and brick, and put a mean behind each brick.
+    order = order_texels(chunks.texels)
+    grade, found = with_means(order, chunks.reading.grade, np.column_stack([normals, values]))
+    # A brick begins at the position of its first texel, plus one mean for each brick before. The
+    # number of all records is the end of the last brick.
+    firsts = order.begins + np.arange(len(order.begins))
+    bounds = np.append(firsts, len(grade))
+    return Records(order, bounds, words_of(found[:, :3], grade), found[:, 3:])
 
 
 def pack(
     chunks: ChunkTexels, normals: np.ndarray, values: np.ndarray, kind: int, behind: int = 0
 ) -> Iterator[bytes]:
     """Yield the block of each of the ``chunks``, of a ``kind``, from the ``normals`` (m, 3) and the
-    ``values`` (m, n) of all their texels: light, transfer or its codes, as the kind has it.
+    ``values`` (m, n) of all their texels: light or transfer, as the kind has it.
 
     Blocks name each chunk by its index, moved by ``behind`` chunks along z.
     """
-    # Sort the texels of all chunks at once, by chunk and brick, and put a record with the mean of
-    # each brick behind its texels. A card takes the mean in place of a texel that is not there.
-    order = order_texels(chunks.texels)
-    grade, found = with_means(order, chunks.reading.grade, np.column_stack([normals, values]))
-    words = words_of(found[:, :3], grade)
-    numbers = found[:, 3:]
-    # A brick begins at the position of its first texel, plus one mean for each brick before. The
-    # number of all records is the end of the last brick.
-    firsts = order.begins + np.arange(len(order.begins))
-    bounds = np.append(firsts, len(words)).tolist()
+    found = find_records(chunks, normals, values)
+    order = found.order
     owners = {index: number for number, index in enumerate(chunks.texels.chunks)}
     # Cut out the bricks a to b - 1 of each chunk, and their records; a chunk without texels has
     # none.
     for index, version in zip(chunks.chunks, chunks.versions, strict=True):
         number = owners.get(index, -1)
         a, b = np.searchsorted(order.owners, [number, number + 1]).tolist()
-        first, last = bounds[a], bounds[b]
+        first, last = found.bounds[[a, b]].tolist()
         # Bricks name their first records by places in the block.
         bricks = np.zeros(b - a, BRICK)
         bricks["mask"] = order.masks[a:b]
         bricks["place"] = order.places[a:b]
-        bricks["first"] = firsts[a:b] - first
-        body = BODIES[kind](words[first:last], numbers[first:last])
+        bricks["first"] = found.bounds[a:b] - first
+        body = BODIES[kind](found.words[first:last], found.numbers[first:last])
         place = (index[0] + behind, *index[1:])
         yield block_of(place, version, bricks, last - first, body, kind)
 

@@ -10,8 +10,9 @@ import numpy as np
 from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.bake.noise import Goal
 from isogi_core.cache.page_pool import PagePool
-from isogi_core.frame.card.block_format import CODED, FOLDED, RAW, pack
+from isogi_core.frame.card.block_format import FOLDED, RAW, pack
 from isogi_core.frame.card.chunk_texels import ChunkTexels, hold_texels, with_neighbours
+from isogi_core.frame.card.coded_light import CodedLight, code_light, means_of
 from isogi_core.frame.card.coding import Coding
 from isogi_core.frame.known_blocks import Block, Packed
 from isogi_core.frame.lighting import RotatedLight
@@ -141,13 +142,19 @@ def packed(
 
 
 def coded_chunks(
-    renderer: Renderer, chunks: Sequence[Index], goal: Goal, coding: Coding, tiles: Tiles
-) -> tuple[bytes, ...]:
-    """Pack ``chunks`` with the ``raw_numbers`` of their texels in few bits. Raises the errors
-    of ``fold_chunks``.
+    renderer: Renderer,
+    chunks: Sequence[Index],
+    goal: Goal,
+    codings: tuple[Coding, Coding],
+    tiles: Tiles,
+) -> tuple[CodedLight, CodedLight]:
+    """Return the light of ``chunks`` in few bits: the ``raw_numbers`` of their texels by the first
+    of two ``codings``, and the means of their bricks by the second. Raises the errors of
+    ``fold_chunks``.
     """
     found, about, numbers = read_raw(renderer, chunks, goal, tiles)
-    return tuple(pack(found, about, coding.codes(numbers), CODED))
+    fine, coarse = (code_light(found, about, each.codes(numbers)) for each in codings)
+    return fine, means_of(coarse)
 
 
 def read_raw(

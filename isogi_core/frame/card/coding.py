@@ -41,6 +41,22 @@ class Coding:
         return np.asarray(codes * self.steps, np.float32)
 
 
+def fold_signs(codes: np.ndarray) -> np.ndarray:
+    """Return integers of either sign as unsigned ones of as many bits, small where they are: 0, -1,
+    1, -2, … become 0, 1, 2, 3, …
+    """
+    size = codes.dtype.itemsize
+    return np.asarray((codes << 1 ^ codes >> 8 * size - 1).view(f"<u{size}"))
+
+
+def byte_planes(table: np.ndarray) -> bytes:
+    """Return the rows of a ``table`` byte by byte: the first byte of each row, then all second
+    ones, and so on. Similar bytes in a row compress well.
+    """
+    rows = np.ascontiguousarray(table).view(np.uint8).reshape(len(table), table.dtype.itemsize)
+    return rows.T.tobytes()
+
+
 def coding_for(spec: BakeSpec, scale: float, error: float) -> Coding:
     """Return the coding of ``raw_numbers`` by which rounding changes the light of a typical texel
     by about the relative ``error``. ``scale`` is the divisor of these numbers, ``raw_scale``.

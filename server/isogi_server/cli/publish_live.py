@@ -29,6 +29,7 @@ from isogi_server.cli.publish import PageRequest, check_output
 from isogi_server.cli.render import working
 from isogi_server.errors import ParameterError
 from isogi_server.exports.live_page import (
+    COARSE_LIGHT,
     PAGE,
     Span,
     colour_files,
@@ -56,6 +57,11 @@ paths where texels are too coarse.
 ROUNDING_SHARES = (0.2, 0.4, 0.8, 1.6, 3.2)
 """Rounding errors that are tried, relative to the target; the first one whose files are small
 enough is taken.
+"""
+
+COARSE_ROUNDING = 0.05
+"""Rounding error of coarse light on all pages: about as large as that of means of bricks. With
+twice as much, flat sides look blotched.
 """
 
 SIDES_NOT_PUBLISHED = Obstacle(
@@ -235,13 +241,15 @@ def page_versions(
     document = document_of(renderer, planned.params, planned.view, span)
     first = first_view(renderer, planned.params, document["scene"]["start"], settings)
     poster = poster_of(renderer, planned.params, first, Goal(context.goal.error))
+    coarse = coding_at(renderer, COARSE_ROUNDING)
     for coding in codings:
         # Coarser codings need no new light, only other files.
-        light = light_files(renderer, span, coding, context.goal, first)
+        light = light_files(renderer, span, (coding, coarse), context.goal, first)
         facts = page_facts(renderer.prepared.scene, span, baked, baked.pictures.measure(coding))
         facts["target_error"] = planned.error
         known = {
-            "files": list(light),
+            "coarse": {"file": COARSE_LIGHT, "steps": coarse.steps.tolist()},
+            "files": [name for name in light if name != COARSE_LIGHT],
             "steps": coding.steps.tolist(),
             "background": ground_of(planned.params),
             "caption": planned.request.caption or "",

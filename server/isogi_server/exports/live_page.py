@@ -3,16 +3,20 @@ isovalues; or all of it as one file.
 """
 
 import json
+import zlib
 from base64 import b64encode
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from pydantic import BaseModel
 
 from isogi_core.bake.noise import Goal
 from isogi_core.frame.card.blocks import CHUNKS, coded_chunks
+from isogi_core.frame.card.coded_light import join_light, light_file
+from isogi_core.frame.card.coded_voxels import voxels_file
 from isogi_core.frame.card.coding import Coding
 from isogi_core.frame.card.colour_codes import ColourCodes
 from isogi_core.frame.card.looks import seen_chunks
@@ -23,7 +27,13 @@ from isogi_core.prepared.active_cell_maps import IdleVoxels
 from isogi_core.storage.atomic_file import write_whole
 from isogi_server.answers import camera_schema, card_scene, scene_schema
 from isogi_server.card_schemas import CardSlab
-from isogi_server.exports.page_files import WEB_FOLDER, compressed, joined_modules, shaders
+from isogi_server.exports.page_files import (
+    LEVEL,
+    WEB_FOLDER,
+    compressed,
+    joined_modules,
+    shaders,
+)
 from isogi_server.parameters import FrameParams
 from isogi_server.pictures import encode
 from isogi_server.schemas import CameraSchema, Histogram, Range, SceneSchema
@@ -35,6 +45,12 @@ FIRST_PAGE_MODULE = "published/published.js"
 
 FOLDERS = ("light", "volume", "colours")
 """Folders of a page's files: light of texels, voxels, and colours by data."""
+
+GZIP_BITS = 31
+"""What zlib takes for gzip's form, with its largest window."""
+
+COARSE_LIGHT = "light/coarse.bin"
+"""The file with the light of bricks, which stands in until that of texels is there."""
 
 PAGE = "index.html"
 """The HTML file in a folder."""
@@ -88,18 +104,20 @@ def elements(files: Mapping[str, bytes]) -> Iterator[str]:
 
 
 def volume_files(renderer: Renderer, span: Span) -> dict[str, bytes]:
-    """Return the files of the volume, by name: the codes of each slab of its voxels, compressed.
+    """Return the files of the volume, by name: each slab of its voxels, in few bytes.
 
-    Voxels that no isosurface in the ``span`` needs are made alike, so that they compress well: all
-    below the span get one value, all above it another, see ``IdleVoxels``.
+    Voxels that no isosurface in the ``span`` needs are made alike, so that they take hardly any
+    bytes: all below the span get one value, all above it another, see ``IdleVoxels``.
     """
     codes = renderer.prepared.voxel_codes
     volume = renderer.prepared.scene.volume
     voxels = IdleVoxels(volume.voxels, *volume.normalise_span(span.low, span.high))
-    contents = (
-        (slab_name(a, b), codes.code(voxels.flattened(a, b)).tobytes()) for a, b in codes.slabs
-    )
-    return {name: compressed(content) for name, content in contents}
+    files = {}
+    for a, b in codes.slabs:
+        layers = voxels.flattened(a, b)
+        needed = voxels.needed(a, b) | np.isnan(layers)
+        files[slab_name(a, b)] = packed(voxels_file(codes.code(layers), needed))
+    return files
 
 
 def colour_files(renderer: Renderer, span: Span) -> dict[str, bytes]:
@@ -120,9 +138,10 @@ def slab_name(first: int, last: int, folder: str = "volume") -> str:
 
 
 def light_files(
-    renderer: Renderer, span: Span, coding: Coding, goal: Goal, first: View
+    renderer: Renderer, span: Span, codings: tuple[Coding, Coding], goal: Goal, first: View
 ) -> dict[str, bytes]:
-    """Return the transfer of all texels that isosurfaces in the ``span`` read, coded in few bits.
+    """Return the transfer of all texels that isosurfaces in the ``span`` read, in few bits by the
+    first of two ``codings``, and before it COARSE_LIGHT, the means of their bricks by the second.
 
     Texels of the ``first`` view come in the first files. Transfer is filtered if its noise exceeds
     the error of the ``goal``. Raises StoreError and Cancelled.
@@ -136,12 +155,21 @@ def light_files(
     places = {at: place for place, at in enumerate(seen)}
     chunks = sorted((index for index, _ in texels), key=lambda at: places.get(at, len(seen)))
     files = {}
+    means = []
     for number, start in enumerate(range(0, len(chunks), CHUNKS)):
-        blocks = coded_chunks(
-            renderer, chunks[start : start + CHUNKS], goal, coding, renderer.tiles
-        )
-        files[f"light/{number}.bin"] = compressed(b"".join(blocks))
-    return files
+        some = chunks[start : start + CHUNKS]
+        texels, bricks = coded_chunks(renderer, some, goal, codings, renderer.tiles)
+        means.append(bricks)
+        files[f"light/{number}.bin"] = packed(light_file(texels))
+    return {COARSE_LIGHT: packed(light_file(join_light(means))), **files}
+
+
+def packed(content: bytes) -> bytes:
+    """Compress tables by gzip, without its time. Their bytes are noisy: few repetitions of them are
+    taken, as most happen by chance and cost more than they save.
+    """
+    packing = zlib.compressobj(LEVEL, wbits=GZIP_BITS, strategy=zlib.Z_FILTERED)
+    return packing.compress(content) + packing.flush()
 
 
 def first_view(

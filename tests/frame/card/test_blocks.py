@@ -15,7 +15,7 @@ import pytest
 from isogi_core.bake.noise import Goal
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.frame.card import blocks
-from isogi_core.frame.card.block_format import coarse, words_of
+from isogi_core.frame.card.block_format import CODES, words_of
 from isogi_core.frame.card.blocks import (
     coded_chunks,
     fold_chunks,
@@ -24,6 +24,7 @@ from isogi_core.frame.card.blocks import (
     raw_scale,
     transfer_chunks,
 )
+from isogi_core.frame.card.coded_light import coarse_words, join_light, light_file
 from isogi_core.frame.card.coded_picture import ControlPictures, draw_coded
 from isogi_core.frame.card.coding import Coding, coding_for
 from isogi_core.frame.card.looks import look_at, seen_chunks
@@ -39,9 +40,10 @@ from isogi_core.model.view import View, quaternion_from_angles, rotation_matrix
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index
 from isogi_server.answers import card_scene
-from tests.card_twin import BURIED, FLAT, VOID, Twin, blocks_in, normal_of, read_coded
+from tests.card_twin import BURIED, FLAT, VOID, Twin, blocks_in, normal_of
 from tests.frame.conftest import CONSTANT, LOOSE, SKY, Workbench, refine_chunk, shading_of
 from tests.loaded import load_scene
+from tests.published import light_in
 
 Make = Callable[[Scene], Workbench]
 BenchOf = Callable[[str], Workbench]
@@ -359,25 +361,53 @@ def test_codes_are_whole_numbers_that_two_bytes_hold() -> None:
 
 
 @pytest.mark.usefixtures("unfiltered")
-def test_blocks_in_few_bits_hold_the_transfer(colours: Workbench) -> None:
+def test_light_in_few_bits_holds_the_transfer(colours: Workbench) -> None:
     bench = colours
     view = colours.view(size=40)
     tiles = bench.renderer.tiles
     coding = coding_of(bench, 0.01)
     indices = [each.at for each in seen_chunks(bench.renderer, view, LOOSE_GOAL, tiles)]
     whole = transfer_chunks(bench.renderer, indices, LOOSE_GOAL, tiles)
-    few = coded_chunks(bench.renderer, indices, LOOSE_GOAL, coding, tiles)
     expected = blocks_in(b"".join(each.data for each in whole.blocks), len(coding.steps))
-    for block, same in zip(few, expected, strict=True):
-        assert int.from_bytes(block[14:16], "little") == 2
-        bricks, records = (int.from_bytes(block[a : a + 4], "little") for a in (16, 20))
-        numbers, words = read_coded(block[32 + 16 * bricks :], records, coding.steps.astype(float))
-        known = [BURIED, VOID]
-        np.testing.assert_array_equal(np.isin(words, known), np.isin(same.words, known))
-        apart = np.abs(numbers - same.records) - 1e-3 * np.abs(same.records)
+    few, _ = coded_chunks(bench.renderer, indices, LOOSE_GOAL, (coding, coding), tiles)
+    found = light_in(light_file(few), coding.steps.astype(float))
+    assert len(found) > 3
+    for chunk, same in zip(found, expected, strict=True):
+        assert chunk.at == same.at
+        assert chunk.masks == {place: mask for place, (mask, _) in same.masks.items()}
+        known = list(CODES.values())
+        np.testing.assert_array_equal(np.isin(chunk.words, known), np.isin(same.words, known))
+        apart = np.abs(chunk.numbers - same.records) - 1e-3 * np.abs(same.records)
         assert (apart <= 1.001 * coding.steps).all() and (
             apart <= 0.501 * coding.steps
         ).mean() > 0.9, "means are of codes"
+
+
+@pytest.mark.usefixtures("unfiltered")
+def test_coarse_light_has_the_means_of_all_bricks(colours: Workbench) -> None:
+    bench = colours
+    tiles = bench.renderer.tiles
+    codings = coding_of(bench, 0.01), coding_of(bench, 0.04)
+    seen = [
+        each.at for each in seen_chunks(bench.renderer, colours.view(size=40), LOOSE_GOAL, tiles)
+    ]
+    fine, coarse = zip(
+        *(
+            coded_chunks(bench.renderer, part, LOOSE_GOAL, codings, tiles)
+            for part in (seen[:2], seen[2:])
+        ),
+        strict=True,
+    )
+    steps, coarse_steps = (each.steps.astype(float) for each in codings)
+    alone = light_in(light_file(join_light(coarse)), coarse_steps)
+    whole = light_in(light_file(join_light(fine)), steps)
+    for means, chunk in zip(alone, whole, strict=True):
+        assert means.at == chunk.at and means.masks == dict.fromkeys(chunk.masks, 0)
+        ends = np.cumsum([mask.bit_count() + 1 for mask in chunk.masks.values()]) - 1
+        np.testing.assert_array_equal(means.words, chunk.words[ends])
+        apart = np.abs(means.numbers - chunk.numbers[ends])
+        assert (apart <= 0.501 * (steps + coarse_steps) + 0.5 * coarse_steps).all()
+        assert (apart <= 0.501 * (steps + coarse_steps)).mean() > 0.9, "means are of codes"
 
 
 def test_normals_in_few_bits_stay_near_and_codes_as_they_are() -> None:
@@ -385,19 +415,12 @@ def test_normals_in_few_bits_stay_near_and_codes_as_they_are() -> None:
     n[:6] = [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]]
     n /= np.linalg.norm(n, axis=1, keepdims=True)
     grade = np.full(len(n), FINAL, np.uint8)
-    words = words_of(n, grade)
-    x, y = (
-        coarse((words >> shift & 0xFFFF).astype(np.uint16), words).astype(np.uint32)
-        for shift in (0, 16)
-    )
-    near = x | y << 16
+    near = coarse_words(words_of(n, grade))
     cosines = [float(normal_of(int(word)) @ each) for word, each in zip(near, n, strict=True)]
     assert np.degrees(np.arccos(np.clip(min(cosines), -1.0, 1.0))) < 0.3
     assert not np.isin(near, [BURIED, VOID, FLAT]).any()
     kept = words_of(np.zeros((3, 3)), np.array([BURIED_GRADE, VOID_GRADE, FINAL], np.uint8))
-    for shift in (0, 16):
-        part = (kept >> shift & 0xFFFF).astype(np.uint16)
-        np.testing.assert_array_equal(coarse(part, kept), part)
+    np.testing.assert_array_equal(coarse_words(kept), kept)
 
 
 @pytest.mark.usefixtures("unfiltered")

@@ -2,6 +2,7 @@
 isogi's pictures.
 """
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
-from playwright.sync_api import Browser, Page
+from playwright.sync_api import Browser, Page, Route
 
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.frame.film import develop
@@ -159,6 +160,40 @@ def test_the_page_shows_isogis_picture(page: Page, site: Site, first: np.ndarray
     assert "isovalues 0.01 to 0.02" in said and "relative error" in said and said.endswith("MB.")
 
 
+def test_light_is_coarse_and_says_so_until_all_is_there(
+    browser: Browser, page: Page, site: Site, first: np.ndarray, tmp_path: Path
+) -> None:
+    other = browser.new_page(viewport=SIZE)  # type: ignore[arg-type]
+    other.set_default_timeout(READY_MS)
+    held: list[Route] = []
+    fine = re.compile(r"light/\d+\.bin")
+
+    def hold(route: Route) -> None:
+        held.append(route)
+
+    other.route(fine, hold)
+    other.goto(site.address)
+    # Both stages are as large only if what is said takes as many lines.
+    height = box_of(page.locator("[role=status]"))["height"]
+    other.add_style_tag(content=f"[role=status] {{ height: {height}px }}")
+    other.wait_for_selector("#stage[data-drawn]")
+    coarse = seen(other, tmp_path)
+    assert "still coarse: 0 %" in other.inner_text("[role=status]")
+    assert not other.locator("#stage[data-lit]").count()
+    surface = np.abs(first - first[0, 0]).max(axis=2) > 2
+    apart = np.abs(coarse - first).max(axis=2)[surface]
+    assert apart.max() > 2, "light of texels is not there"
+    assert (apart <= 24).mean() > 0.9
+    assert abs(coarse[surface].mean() - first[surface].mean()) < 4
+    other.unroute(fine)
+    for each in held:
+        each.continue_()
+    other.wait_for_selector("#stage[data-lit]")
+    lit = seen(other, tmp_path)
+    other.close()
+    assert (np.abs(lit - first) <= 1).mean() > 0.999, "nothing of the coarse light is left"
+
+
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("knob", "value"),
@@ -183,7 +218,7 @@ def test_what_slides_is_drawn_without_a_request(
 
 
 @pytest.mark.long
-def test_a_drag_turns_the_object_and_the_exposure_lightens(
+def test_a_drag_turns_the_surfaceand_the_exposure_lightens(
     page: Page, first: np.ndarray, tmp_path: Path
 ) -> None:
     drag(page, middle(page.locator("canvas")), 40, 10)

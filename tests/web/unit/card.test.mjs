@@ -245,30 +245,6 @@ test("halves are the nearest ones, and end at the greatest", () => {
   assert.equal(numberOf(halfOf(-1e6)), -65504);
 });
 
-test("transfer in few bits becomes normals without light, and halves", () => {
-  const steps = [0.5, 0.25, 0, 2, 1], count = 3, codes = [[3, -4, 300], [1, 0, -1], [0, 0, 0], [2, 2, 2], [-700, 5, 6]];
-  const words = [0x12345678, 0x80008001, 0xfedcba98], body = [];
-  for (const shift of [0, 8, 16, 24]) body.push(...words.map((word) => (word >>> shift) & 255));
-  const signed = codes.map((row) => row.map((code) => (code << 1) ^ (code >> 31)));
-  for (const shift of [0, 8]) for (const row of signed) body.push(...row.map((code) => (code >> shift) & 255));
-  while (body.length % 8) body.push(0);
-  const bytes = new Uint8Array(32 + 16 + body.length), view = new DataView(bytes.buffer);
-  view.setUint32(0, 0x424f5349, true);
-  view.setUint32(4, bytes.length, true);
-  [4, 5, 6, 2].forEach((x, i) => view.setUint16(8 + 2 * i, x, true));
-  view.setUint32(16, 1, true);
-  view.setUint32(20, count, true);
-  bytes.set(body, 48);
-  const [folded, raw] = readBlocks(bytes.buffer, steps);
-  assert.deepEqual([folded.at, folded.raw, raw.at, raw.raw, raw.count], ["4.5.6", false, "4.5.6", true, 3]);
-  assert.deepEqual([...folded.records], words.flatMap((word) => [0, 0, 0, word]));
-  const numbers = codes.map((row, k) => row.map((code) => steps[k] * code));
-  for (let k = 0; k < steps.length; k++) for (let i = 0; i < count; i++) {
-    assert.equal(numberOf(raw.layers[4 * count * (k >> 2) + 4 * i + (k & 3)]), numbers[k][i]);
-  }
-  assert.equal(raw.layers.length, 4 * count * 2);
-});
-
 test("maps of several surfaces are joined, and each finds its own cells", () => {
   const size = [13, 9, 10];
   const random = numbers(7);

@@ -60,6 +60,20 @@ test("bricks of one side change no layers of another", () => {
   assert.deepEqual(bricks, texels.table);
 });
 
+test("light is coarse until texels take the place of all means", () => {
+  const texels = makeTexels(1);
+  const means = (z) => ({
+    at: `${z}.1.1`, index: [1, 1, z], version: "", raw: false, bricks: new Uint32Array([0, 0, 0, 0]), count: 1, first: 0,
+    records: new Uint32Array(4), layers: new Uint16Array(),
+  });
+  texels.put([means(2), means(3)], "", QUADRIC);
+  assert.ok(texels.coarse);
+  texels.take(answerAt(2), "straight", QUADRIC);
+  assert.ok(texels.coarse);
+  texels.take(answerAt(3), "straight", QUADRIC);
+  assert.ok(!texels.coarse);
+});
+
 test("an index that takes too much memory is refused", () => {
   assert.throws(() => makeTexels(4, [1024, 1024, 512]), (error) => error instanceof Refusal && /256 MB/.test(error.message));
 });

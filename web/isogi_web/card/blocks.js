@@ -24,17 +24,13 @@ const RECORD_WORDS = 4;
  * @property {boolean} [grainy] true if light of this transfer needs the noise filter
  */
 
-const CODED = 2; // kind of a block whose transfer is quantized
-
 /**
- * Read the blocks of an answer. Quantized transfer becomes two blocks: normals without light, and
- * transfer.
+ * Read the blocks of an answer.
  * @param {ArrayBuffer} answer
- * @param {readonly number[]} [steps] quantization step of each number, if transfer is quantized
  * @returns {Block[]}
  * @throws {Error} if the answer is damaged
  */
-export function readBlocks(answer, steps = []) {
+export function readBlocks(answer) {
   const blocks = [];
   const view = new DataView(answer);
   for (let start = 0; start < answer.byteLength; start += view.getUint32(start + 4, true)) {
@@ -45,7 +41,7 @@ export function readBlocks(answer, steps = []) {
         : 0;
     if (whole < HEADER || start + whole > answer.byteLength)
       throw new Error("The light that the server sent is damaged: reload the page.");
-    blocks.push(...readBlock(answer, view, start, whole, steps));
+    blocks.push(readBlock(answer, view, start, whole));
   }
   return blocks;
 }
@@ -56,10 +52,9 @@ export function readBlocks(answer, steps = []) {
  * @param {DataView} view
  * @param {number} start first byte
  * @param {number} whole length in bytes
- * @param {readonly number[]} steps quantization steps
- * @returns {Block[]}
+ * @returns {Block}
  */
-function readBlock(answer, view, start, whole, steps) {
+function readBlock(answer, view, start, whole) {
   const [z, y, x, kind] = [8, 10, 12, 14].map((at) => view.getUint16(start + at, true));
   const bricks = view.getUint32(start + 16, true);
   const count = view.getUint32(start + 20, true);
@@ -70,69 +65,19 @@ function readBlock(answer, view, start, whole, steps) {
   const raw = kind === 1;
   // Layers begin at a multiple of 8 bytes: behind an odd number of words is a word of padding.
   const layers = first + 4 * (count + (count & 1));
-  /** @type {Omit<Block, "raw"|"records"|"layers">} */
-  const facts = {
+  return {
     at: `${z}.${y}.${x}`,
     index: [x, y, z],
     version,
+    raw,
     bricks: new Uint32Array(answer, start + HEADER, BRICK_WORDS * bricks),
     count,
     first: 0,
+    records: new Uint32Array(answer, first, (raw ? 1 : RECORD_WORDS) * count),
+    layers: raw
+      ? new Uint16Array(answer, layers, Math.floor((start + whole - layers) / 2))
+      : new Uint16Array(),
   };
-  if (kind === CODED)
-    return decoded(facts, new Uint8Array(answer, first, start + whole - first), steps);
-  const records = new Uint32Array(answer, first, (raw ? 1 : RECORD_WORDS) * count);
-  return [
-    {
-      ...facts,
-      raw,
-      records,
-      layers: raw
-        ? new Uint16Array(answer, layers, Math.floor((start + whole - layers) / 2))
-        : new Uint16Array(),
-    },
-  ];
-}
-
-/**
- * Decode quantized transfer into records without light, and the transfer of their texels.
- *
- * The server sends the first bytes of all words, then all second bytes, and so on, which compresses
- * better.
- *
- * @param {Omit<Block, "raw"|"records"|"layers">} facts fields that both blocks share
- * @param {Uint8Array} bytes four bytes per normal, then the low and the high bytes of the codes
- * @param {readonly number[]} steps quantization step of each number
- * @returns {Block[]}
- */
-function decoded(facts, bytes, steps) {
-  const { count } = facts;
-  const words = new Uint32Array(count);
-  const records = new Uint32Array(RECORD_WORDS * count);
-  // Assemble the normals, little-endian.
-  for (let i = 0; i < count; i++) {
-    words[i] =
-      bytes[i] |
-      (bytes[count + i] << 8) |
-      (bytes[2 * count + i] << 16) |
-      (bytes[3 * count + i] << 24);
-    records[RECORD_WORDS * i + 3] = words[i];
-  }
-  // Decode each number of all texels. Codes are zigzag: 0, -1, 1, -2, … are stored as 0, 1, 2, 3, …
-  const layers = new Uint16Array(4 * count * Math.ceil(steps.length / 4));
-  steps.forEach((step, k) => {
-    const low = (4 + k) * count;
-    const high = low + steps.length * count;
-    const to = 4 * count * (k >> 2) + (k & 3);
-    for (let i = 0; i < count; i++) {
-      const code = bytes[low + i] | (bytes[high + i] << 8);
-      layers[to + 4 * i] = halfOf(step * ((code >>> 1) ^ -(code & 1)));
-    }
-  });
-  return [
-    { ...facts, raw: false, records, layers: new Uint16Array() },
-    { ...facts, raw: true, records: words, layers },
-  ];
 }
 
 const FLOAT = new Float32Array(1);

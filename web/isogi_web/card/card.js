@@ -150,15 +150,24 @@ export class Card {
   /**
    * Take an answer of the server: blocks of folded light or of transfer.
    * @param {ArrayBuffer} answer
-   * @param {Quaternion|null} turn rotation that folded light was requested with; null for quantized
-   *   transfer, which depends on none
-   * @param {readonly number[]} [steps] quantization step of each number, if transfer is quantized
+   * @param {Quaternion} turn rotation that folded light was requested with
    * @throws {Error} if the answer is damaged
    */
-  take(answer, turn, steps) {
+  take(answer, turn) {
     if (!this.drawing) return;
-    const { quadric } = turnLight(this.drawing.document, turn ?? [1, 0, 0, 0]);
-    this.drawing.texels.take(answer, turn ? keyOf(turn) : "", quadric, steps);
+    const { quadric } = turnLight(this.drawing.document, turn);
+    this.drawing.texels.take(answer, keyOf(turn), quadric);
+    this.drawing.refold();
+  }
+
+  /**
+   * Put light on the card that depends on no turn: transfer, and its texels without light.
+   * @param {import("./blocks.js").Block[]} blocks
+   */
+  put(blocks) {
+    if (!this.drawing) return;
+    const { quadric } = turnLight(this.drawing.document, [1, 0, 0, 0]);
+    this.drawing.texels.put(blocks, "", quadric);
     this.drawing.refold();
   }
 

@@ -219,6 +219,7 @@ export class Drawing {
       ...sightOf(document, view.window ?? []),
       ...shine,
       bricks: this.texels.bricks,
+      coarse: Number(this.texels.coarse),
       records,
       ...filmOf(document, view.exposure),
       first: n === 0 ? picture.mean : picture.first, // WebGL forbids reading the draw target

@@ -118,6 +118,11 @@ export class Texels {
     );
   }
 
+  /** Return true if some bricks have a mean, and no texels. @returns {boolean} */
+  get coarse() {
+    return this.runs.some(({ blocks }) => blocks.some(isCoarse));
+  }
+
   /**
    * Return the version of each chunk on the card, the turn of its light, and true in `raw` if its
    * raw transfer is here.
@@ -142,11 +147,21 @@ export class Texels {
    * @param {ArrayBuffer} answer
    * @param {string} lightKey names the turn of the light that it was folded with
    * @param {number[]} quadric unshadowed light of that turn: see `quadricOf`
-   * @param {readonly number[]} [steps] quantization step of each number, if transfer is quantized
    * @throws {Error} if the answer is damaged, or if the card has too few rows for it
    */
-  take(answer, lightKey, quadric, steps) {
-    const blocks = readBlocks(answer, steps);
+  take(answer, lightKey, quadric) {
+    this.put(readBlocks(answer), lightKey, quadric);
+  }
+
+  /**
+   * Put blocks on the card: folded light first, then raw transfer of texels whose folded light is
+   * here.
+   * @param {Block[]} blocks
+   * @param {string} lightKey
+   * @param {number[]} quadric
+   * @throws {Error} if the card has too few rows for them
+   */
+  put(blocks, lightKey, quadric) {
     const folded = blocks.filter((block) => !block.raw);
     // Allocate layers for raw transfer only when the first raw block arrives: many scenes need
     // none.
@@ -388,6 +403,15 @@ function bitsOf(low, high) {
   return Array.from({ length: 64 }, (_, bit) => bit).filter(
     (bit) => ((bit < 32 ? low : high) >>> (bit & 31)) & 1,
   );
+}
+
+/**
+ * Return true if a block has means of bricks alone: then its first brick has no texels.
+ * @param {Block} block
+ * @returns {boolean}
+ */
+function isCoarse({ bricks: [low, high] }) {
+  return low === 0 && high === 0;
 }
 
 /**

@@ -4,8 +4,10 @@ const TOGETHER = 6; // requests at a time, so that a server that is far away is 
 
 /**
  * @typedef {object} Light the light of the page
- * @property {string[]} files names of files, those of the first view first
- * @property {number[]} steps quantization steps of transfer
+ * @property {{file: string, steps: number[]}} coarse name of the file with means of bricks, which
+ *   stand in for texels, and quantization steps of their transfer
+ * @property {string[]} files names of files with texels, those of the first view first
+ * @property {number[]} steps quantization steps of texels' transfer
  * @property {[number, number]} isovalues range of isovalues with light
  * @property {{likely: number, low: number, high: number}} error relative error of pictures, and its
  *   95 % interval

@@ -15,7 +15,9 @@ import { attachKeys } from "../view/keys.js";
 import { ViewModel } from "../view/model.js";
 import { attachRulers } from "../view/rulers.js";
 import { readAhead, readDocument, readText } from "./files.js";
+import { readLight } from "./light.js";
 import { fitFor, fitTo, fitsOf, followLink, linkOf, readLink } from "./place.js";
+import { unpackSlabs } from "./voxels.js";
 
 /** @typedef {import("./files.js").Published} Published */
 
@@ -41,10 +43,10 @@ async function open() {
   find(document, "#poster", HTMLImageElement).alt = scene.name;
   if (light.background !== "page") document.documentElement.dataset.ground = light.background;
   foldControls();
-  // Read the volume first, as the card cannot draw without it, then the light of the first view.
-  // Light is requested before the last slab is here, so that the network is never idle.
-  const slabs = readAhead(slabsOf(facts));
-  const files = readAhead(light.files, Promise.all(slabs.slice(0, Math.max(slabs.length - 1, 1))));
+  // Read coarse light and the volume first, as the card cannot draw without them, then the light of
+  // texels, that of the first view first.
+  const [coarse, ...slabs] = readAhead([light.coarse.file, ...slabsOf(facts)]);
+  const files = readAhead(light.files, Promise.all([coarse, ...slabs]));
   const fits = fitsOf(scene);
   const square = fitFor(fits, 1).distance;
   Object.assign(scene.start, fitFor(fits, aspectOf(stage)));
@@ -54,9 +56,14 @@ async function open() {
   new ResizeObserver(() => fitTo(scene, fits, view, sizeOf(stage))).observe(stage);
   const shaders = JSON.parse(await readText("shaders.json"));
   const card = Card.open(canvas, async (name) => shaders[name]);
-  await card.load(facts, Promise.all(slabs));
+  await card.load(
+    facts,
+    Promise.all(slabs).then((some) => unpackSlabs(facts, some)),
+  );
+  // The poster stays until the card has light of the whole surface.
+  putLight(card, await coarse, light.coarse.steps);
   const draw = keepDrawn(card, published, view);
-  await bringLight(card, light, files, draw);
+  await refineLight(card, light, files, draw);
 }
 
 /** Return width over height of an element. @param {Element} box */
@@ -210,20 +217,32 @@ function pixelsOf(element) {
 }
 
 /**
- * Hand the light to the card, file by file.
+ * Put the light of a file on the card.
+ * @param {Card} card
+ * @param {ArrayBuffer} file
+ * @param {number[]} steps quantization steps of its transfer
+ * @throws {Error} if the file is damaged, or if the card has too little memory
+ */
+function putLight(card, file, steps) {
+  card.put(readLight(file, steps));
+  if (!card.drawing?.texels.takesRaw)
+    throw new Error("The graphics card has too little memory for the light of this page.");
+}
+
+/**
+ * Replace coarse light by that of texels, file by file, and say so until all of it is here.
  * @param {Card} card
  * @param {Published["light"]} light
  * @param {Promise<ArrayBuffer>[]} files
  * @param {() => void} draw
  * @throws {Error} if a file cannot be read, or if the card has too little memory
  */
-async function bringLight(card, light, files, draw) {
+async function refineLight(card, light, files, draw) {
   for (const [n, file] of files.entries()) {
-    card.take(await file, null, light.steps);
-    if (!card.drawing?.texels.takesRaw)
-      throw new Error("The graphics card has too little memory for the light of this page.");
+    const share = Math.round((100 * n) / files.length);
+    status.textContent = `Light is still coarse: ${share} % of the fine light is loaded.`;
+    putLight(card, await file, light.steps);
     draw();
-    status.textContent = `Loading light: ${Math.round((100 * (n + 1)) / files.length)} %`;
   }
   status.textContent = qualityOf(light);
   stage.dataset.lit = "";

@@ -10,6 +10,7 @@ uniform highp usampler3D bricks;
 uniform highp usampler2D records;
 uniform ivec3 lattice;              // texels along x, y, z
 uniform vec3 density;               // texels per voxel
+uniform bool coarse;                // true if some bricks have a mean, and no texels
 
 const float LEAST_COSINE = 1e-3; // Least cosine in weights: if all texels face away, all count.
 const float TURNED = 0.1055; // 1 - cosine, of 27 degrees, at which weights have fallen to a fifth.
@@ -62,6 +63,18 @@ int number_of(ivec3 q, out bool lacks) {
   return brick.z == NONE ? -1 : int(brick.z) + (lacks ? all : below);
 }
 
+// True if the brick of texel q is known by its mean alone.
+bool is_coarse(ivec3 q) {
+  uvec4 brick = texelFetch(bricks, (q >> 2) + ivec3(0, 0, light_layer), 0);
+  return (brick.x | brick.y | brick.w) == 0u && brick.z != NONE;
+}
+
+// The number of the record of a brick's mean, or -1 if it has none of its own.
+int mean_number(ivec3 b) {
+  uvec4 brick = texelFetch(bricks, b + ivec3(0, 0, light_layer), 0);
+  return brick.w > 0u || brick.z == NONE ? -1 : int(brick.z) + ones(brick.x) + ones(brick.y);
+}
+
 // The weight of a texel with normal m at a point with normal n: (c / (1 + (1 - c) / TURNED))^2 for
 // the cosine c between them.
 float agree(vec3 m, vec3 n) {
@@ -91,19 +104,27 @@ void add_record(inout Blend sums, uvec4 record, float w, vec3 n) {
 // shown. `lacking` is the share of it that belongs to texels that are not present.
 //
 // Weights are trilinear (S1, section 4.2). Ratios are relative to unshadowed light, which also
-// stands in for unknown light.
+// stands in for unknown light. Means of bricks that have no texels yet are texels of a lattice that
+// is a quarter as dense, at the middles of bricks.
 vec3 texel_light(vec3 p, vec3 n, out float lacking) {
   vec3 q = p * density, under = unshadowed_light(n);
-  ivec3 base = clamp(ivec3(floor(q)), ivec3(0), lattice - 2);
+  bool by_means = coarse && is_coarse(clamp(ivec3(round(q)), ivec3(0), lattice - 1));
+  ivec3 last = lattice - 1;
+  if (by_means) {
+    q = (q - 0.5 * float(BRICK - 1)) / float(BRICK);
+    last /= BRICK;
+  }
+  ivec3 base = clamp(ivec3(floor(q)), ivec3(0), max(last - 1, 0));
   vec3 f = clamp(q - vec3(base), 0.0, 1.0);
   Blend sums = Blend(vec3(0.0), vec3(0.0), vec3(0.0), 0.0, 0.0, 0.0);
   for (int c = 0; c < 8; c++) {
     ivec3 corner = ivec3(c & 1, (c >> 1) & 1, c >> 2);
     vec3 share = mix(1.0 - f, f, vec3(corner));
     float w = share.x * share.y * share.z;
-    bool lacks;
-    int number = number_of(base + corner, lacks);
+    bool lacks = true;
+    int number = by_means ? mean_number(min(base + corner, last)) : number_of(base + corner, lacks);
     if (lacks) sums.lacking += w;
+    if (by_means && number < 0) continue;
     if (number >= 0) {
       add_record(sums, texelFetch(records, ivec2(number % ROW, number / ROW), 0), w, n);
     } else {
