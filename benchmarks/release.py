@@ -49,6 +49,14 @@ FILES = ("isogi_core/files",)
 PAGES = (
     Page("speed-frames", ("speed", "frames"), LIGHT),
     Page("speed-paths", ("speed", "paths"), ("isogi_core/kernels",)),
+    Page(
+        "speed-cold",
+        (
+            *("speed", "cold", "--repeats", "1", "--only", "engine", "--only", "head"),
+            *("--only", "brain", "--only", "bonsai", "--only", "carp", "--only", "heptane"),
+        ),
+        (*LIGHT, *SERVICE),
+    ),
     Page("speed-first-view", ("speed", "first-view"), (*LIGHT, *SERVICE)),
     Page(
         "accuracy-totals",

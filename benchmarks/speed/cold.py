@@ -33,7 +33,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -143,18 +143,30 @@ def cold(
     workers: int,
     error: float,
     peers: bool,
-) -> Iterator[Measurement]:
+) -> Measurement:
     """One cold view, and the views after it, next to Mitsuba to equal true error."""
+    found = dict[str, Mapping[str, Any]]()
     for subject in (each for each in SEVEN if wanted(each.name, only)):
         with tempfile.TemporaryDirectory() as folder:
             race = ColdRace(subject, Path(folder), size, workers, error)
-            figures = race.figures(repeats, views, peers)
-        yield Measurement(subject.name, figures, table_of(figures))
+            found[subject.name] = race.figures(repeats, views, peers)
+        click.echo(table_of({subject.name: found[subject.name]}), err=True)
+    figures = {
+        f"{scene}: {name}": value for scene, each in found.items() for name, value in each.items()
+    }
+    return Measurement(
+        f"A cold view, and those after it, {size} × {size}", figures, table_of(found)
+    )
 
 
-def table_of(figures: Mapping[str, Any]) -> str:
-    """The figures as Markdown."""
-    return markdown(("figure", "value"), ((name, shown(value)) for name, value in figures.items()))
+def table_of(found: Mapping[str, Mapping[str, Any]]) -> str:
+    """The figures ``found`` of some scenes as Markdown: a column for each scene."""
+    names = dict.fromkeys(name for figures in found.values() for name in figures)
+    rows = (
+        (name, *(shown(figures[name]) if name in figures else "" for figures in found.values()))
+        for name in names
+    )
+    return markdown(("figure", *found), rows)
 
 
 class ColdRace:
