@@ -254,7 +254,7 @@ class PictureCheck:
         goal = self.known.goal
         goal = goal._replace(samples=max(goal.samples, samples))
         self.known = replace(self.known, goal=goal, base=base, lit_by="transfer")
-        self.ahead = Ahead(2.0 * paths_for(goal.error) * FIRST_CONTROLS, times=1)
+        self.ahead = Ahead(first_controls(goal.error), times=1)
 
     def end_transfer(self) -> None:
         """Go on with the paths of the transfer that are shown: it grows no more."""
