@@ -57,7 +57,7 @@ class WallLight:
 
     Light ``interpolated`` between the nearest isovalues that were lit before stands in while the
     texels have a larger error; None if there is none. Only the thread that holds the ``lock``
-    changes it.
+    replaces the texels.
     """
 
     light: RotatedLight
@@ -81,15 +81,22 @@ class WallLight:
         """Return the wall's texels if they are final at the ``target`` error, else the light with
         the least error.
 
-        Raises Cancelled.
+        Pictures do not wait for a step that goes on: they show the texels before it. Raises
+        Cancelled.
         """
+        # Read both once: a step may replace the texels meanwhile.
+        texels = self.texels
+        interpolated = self.interpolated
+        if interpolated and not texels.final(target):
+            better = texels.count and texels.error <= interpolated.error
+            if not better:
+                return interpolated
+        # From now on the texels are better than the light of other isovalues.
+        self.interpolated = None
+        if texels.count:
+            return texels
         with self.lock:
-            if self.interpolated and not self.texels.final(target):
-                better = self.texels.count and self.texels.error <= self.interpolated.error
-                if not better:
-                    return self.interpolated
-            # From now on the texels are better than the light of other isovalues.
-            self.interpolated = None
+            # Another picture may have begun them meanwhile.
             if not self.texels.count:
                 self.texels = self.texels.grown(self.light, self.surface, tiles)
             return self.texels

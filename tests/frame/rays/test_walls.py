@@ -3,6 +3,8 @@
 import math
 import shutil
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -164,6 +166,19 @@ def test_a_white_furnace_stays_one_in_a_closed_room(tmp_path: Path) -> None:
 def on_walls(*frames: Frame) -> list[np.ndarray]:
     """What pictures of one view show on walls, (m, 3) each."""
     return [frame.radiance.reshape(-1, 3)[frame.gbuffer.walls.pixels] for frame in frames]
+
+
+def test_pictures_wait_for_no_step_of_walls(room: Workbench) -> None:
+    """While a step of all walls holds their locks, pictures show the texels before it."""
+    view = room.view(90.0, 0.0, SIZE, distance=4.0)
+    before = room.renderer.render(view)
+    light = room.renderer.surface.kept.held((RoomLight, view.isovalue, view.albedo, view.glow))
+    with ThreadPoolExecutor(1) as other, ExitStack() as stepping:
+        for side in light.sides.values():
+            stepping.enter_context(side.lock)
+        frame = other.submit(room.renderer.render, view).result(timeout=60.0)
+    assert len(light.sides) == 6
+    np.testing.assert_array_equal(frame.radiance, before.radiance)
 
 
 def test_walls_are_final_at_once_after_a_restart(room: Workbench) -> None:
