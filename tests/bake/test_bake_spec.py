@@ -14,7 +14,7 @@ from isogi_core.bake.noise import deviation, relative_error
 from isogi_core.bake.refine import add, locate, sample_transfer
 from isogi_core.bake.texel_light import Light, Part
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
-from isogi_core.model.scene_plan import Layer, ScenePlan
+from isogi_core.model.scene_plan import GlowLayer, Layer, ScenePlan
 from isogi_core.prepared.prepared_scene import PreparedScene
 from tests.bake.texels import (
     ALBEDO,
@@ -195,6 +195,21 @@ def test_constant_light_ignores_noise_above_band_0() -> None:
         plan_of(Layer("direct", 5), representation="transfer"), lights=[CONSTANT], albedo=1.0
     )
     np.testing.assert_allclose(spec.gains(Layer("direct", 5)), [4.0 * np.pi, 0.0], atol=1e-12)
+
+
+def gain_of_glows(*radiances: float) -> float:
+    """The weight of the squared noise of glows of these radiances in that of a texel."""
+    glows = [{"sphere": [20, 20, 20, 5], "radiance": each} for each in radiances]
+    spec = spec_for(PreparedScene(load_scene("demo:orbital", glow=glows)), "gi")
+    (layer,) = (each for each in spec.plan.layers if isinstance(each, GlowLayer))
+    assert layer.glows == len(radiances)
+    return float(spec.gains(layer).item())
+
+
+def test_glows_err_together_as_much_as_the_brightest() -> None:
+    """The same paths gather all of them."""
+    assert gain_of_glows(1.0, 1.0) == pytest.approx(gain_of_glows(2.0))
+    assert gain_of_glows(1.0, 3.0) == pytest.approx(gain_of_glows(6.0))
 
 
 def test_one_noise_has_one_gain() -> None:

@@ -310,6 +310,11 @@ def test_a_pixel_that_is_drawn_again_is_one_control() -> None:
     assert twice == tail_of(controls, shown, uncertainty, 1.0)
 
 
+def test_in_the_dark_the_total_is_all_or_nothing() -> None:
+    assert measure_total(np.zeros(4), 0.0) == TotalError(0.0, 0.0, 0.0, 4)
+    assert measure_total(np.array([0.0, 1e-9]), 0.0) == TotalError(1.0, 1.0, 1.0, 2)
+
+
 def test_in_the_dark_the_tail_is_all_or_nothing() -> None:
     controls = ControlPixels(np.arange(2), np.ones(2), np.zeros((2, 2)))
     assert tail_of(controls, np.zeros(2), np.ones(2), 0.0) == TailError(0.0, 0.0, 0.0)
