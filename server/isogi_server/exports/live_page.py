@@ -158,9 +158,9 @@ def light_files(
     means = []
     for number, start in enumerate(range(0, len(chunks), CHUNKS)):
         some = chunks[start : start + CHUNKS]
-        texels, bricks = coded_chunks(renderer, some, goal, codings, renderer.tiles)
-        means.append(bricks)
-        files[f"light/{number}.bin"] = packed(light_file(texels))
+        fine, coarse = coded_chunks(renderer, some, goal, codings, renderer.tiles)
+        means.append(coarse)
+        files[f"light/{number}.bin"] = packed(light_file(fine))
     return {COARSE_LIGHT: packed(light_file(join_light(means))), **files}
 
 
