@@ -27,6 +27,7 @@ from isogi_core.frame.rays.control_pixels import (
     measure_total,
     trace_controls,
 )
+from isogi_core.frame.rays.own_light import Choice
 from isogi_core.frame.rays.picture_check import PictureCheck
 from isogi_core.frame.rays.picture_plan import (
     Ahead,
@@ -574,6 +575,30 @@ class CostSeen(PixelLightCost):
     def choose(self, errors: np.ndarray):  # type: ignore[no-untyped-def]
         self.asked.append(errors)  # type: ignore[attr-defined]
         return super().choose(errors)
+
+
+def by_pixels(paths: float) -> Plan:
+    """The plan of so many paths of one pixel, in two replicas."""
+    return Plan(Choice(np.zeros(1, np.int64), 1.0, paths / 2, NONE))
+
+
+@pytest.mark.parametrize(
+    ("work", "less", "more"),
+    [
+        ({"texel_paths": 1000.0}, 500.0, 1000.0),
+        ({"tasks": 1.0}, 3000.0, 6000.0),
+        ({"finer": True}, 3e6, 6e6),
+    ],
+    ids=["a thousand paths of texels", "a task", "finer texels"],
+)
+def test_pictures_weigh_the_time_that_somebody_waits(
+    work: dict[str, Any], less: float, more: float
+) -> None:
+    """Paths of texels take longer than those of pixels, and serve other views; a task takes some
+    milliseconds, and finer texels take seconds to be opened.
+    """
+    cost = replace(by_pixels(0.0), rungs=1, **work).cost(Prices())
+    assert by_pixels(less).cost(Prices()) < cost < by_pixels(more).cost(Prices())
 
 
 def test_a_rung_that_costs_less_than_controls_is_ahead() -> None:
