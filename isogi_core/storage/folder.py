@@ -10,6 +10,7 @@ import logging
 import math
 import os
 import threading
+import time
 from collections.abc import AsyncIterator, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from hashlib import blake2b
@@ -36,7 +37,10 @@ TRIAL_OBJECT = bytes(1 << 16)
 """Bytes that are written and deleted to test if there is room."""
 
 FOLDER_TRIES = 64
-"""Tries of making a folder for an object while others delete it as empty."""
+FOLDER_PAUSE = 1e-3
+"""Tries of making a folder for an object while others delete it as empty, and seconds between two
+of them, so that no deleter keeps step.
+"""
 
 
 class Folder:
@@ -89,9 +93,10 @@ class Folder:
                     path.parent.mkdir(parents=True, exist_ok=True)
                     written = stack.enter_context(partial_file(path, data))
                 except (FileNotFoundError, FileExistsError):
-                    if left:
-                        continue
-                    raise
+                    if not left:
+                        raise
+                    time.sleep(FOLDER_PAUSE)
+                    continue
                 yield written
                 return
 
