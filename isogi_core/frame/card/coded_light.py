@@ -2,7 +2,7 @@
 has the layout of its files.
 """
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -59,6 +59,10 @@ def record_type(numbers: int) -> np.dtype:
     return np.dtype([("word", "<u4"), ("codes", "<u2", (numbers,))])
 
 
+NO_LIGHT = CodedLight(np.empty(0, CHUNK), np.empty(0, BRICK), np.empty(0, record_type(0)))
+"""The light of no chunk."""
+
+
 def coarse_words(words: np.ndarray) -> np.ndarray:
     """Round both parts of normals' ``words`` (m,) to multiples of NORMAL_STEPS; words without a
     normal stay.
@@ -79,10 +83,11 @@ def means_of(light: CodedLight) -> CodedLight:
     return CodedLight(light.chunks, bricks, light.records[ends - 1])
 
 
-def join_light(parts: Iterable[CodedLight]) -> CodedLight:
-    """Return the light of several ``parts``, at least one, as one."""
-    chunks, bricks, records = zip(*parts, strict=True)
-    return CodedLight(*map(np.concatenate, (chunks, bricks, records)))
+def join_light(parts: Sequence[CodedLight]) -> CodedLight:
+    """Return the light of several ``parts`` as one; NO_LIGHT if there are none."""
+    if not parts:
+        return NO_LIGHT
+    return CodedLight(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def light_file(light: CodedLight) -> bytes:

@@ -410,6 +410,10 @@ def test_coarse_light_has_the_means_of_all_bricks(colours: Workbench) -> None:
         assert (apart <= 0.501 * (steps + coarse_steps)).mean() > 0.9, "means are of codes"
 
 
+def test_a_file_may_have_no_light() -> None:
+    assert light_in(light_file(join_light([])), np.ones(5)) == []
+
+
 def test_normals_in_few_bits_stay_near_and_codes_as_they_are() -> None:
     n = RNG.normal(size=(500, 3))
     n[:6] = [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]]
