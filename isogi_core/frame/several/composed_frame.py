@@ -223,11 +223,12 @@ def in_picture(part: Part, error: float) -> float:
     return error * part.frame.true_mean * part.weight**0.5
 
 
-def step_order(part: Part) -> tuple[bool, float]:
-    """Return a key by which parts are sorted, in reverse, for the next step of a picture: those
-    that are not measured, and then those of the largest error.
+def step_order(part: Part) -> tuple[bool, bool, float]:
+    """Return a key by which parts are sorted, in reverse, for the next step of a picture: walls
+    that are coarse, as their first fine texels are cheap; those that are not measured; and then
+    those of the largest error.
     """
-    return part.unmeasured, error_of(part)
+    return part.frame.walls_coarse, part.unmeasured, error_of(part)
 
 
 def to_refine(frame: ComposedFrame, errors: Mapping[Side, float], target: float) -> list[Part]:

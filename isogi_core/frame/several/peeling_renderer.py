@@ -154,9 +154,9 @@ class PeelingRenderer:
             for part in frame.parts
             if part.frame.checkable and (frame.checkable or part.side == WALLS_SIDE)
         ]
-        # Measure all sides before any takes other steps: together they may be at the target while
-        # one of them is not. Then the side with the largest error takes the step, or else the next
-        # that has a step to take.
+        # Walls that are coarse come first. Then measure all sides before any takes other steps:
+        # together they may be at the target while one of them is not. After that the side with the
+        # largest error takes the step, or else the next that has a step to take.
         for part in sorted(waiting, key=step_order, reverse=True):
             renderer = self.renderer_of(part.side, view.isovalue)
             if renderer.refine_frame(part.frame, goal, tiles, prices.of_present):

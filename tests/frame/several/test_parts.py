@@ -125,6 +125,7 @@ def part_of(side: Side, error: float, measured: bool, final: bool = False) -> Pa
         true_mean=1.0,
         improving=not final,
         outdated=False,
+        walls_coarse=False,
         quality=quality,
         total=total,
         noise=error,
