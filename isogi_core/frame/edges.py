@@ -1,7 +1,7 @@
 """Smooth edges: pixels at silhouettes, creases and edges of shadows take more samples.
 
-Each sample casts a ray, and borrows its light from the pixels around that show the surface next to
-its hit: no sample is shaded by itself.
+Each sample casts a ray, and borrows its light from the pixels around that show the surface, or the
+same wall, next to its hit: no sample is shaded by itself.
 """
 
 from dataclasses import replace

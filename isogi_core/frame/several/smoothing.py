@@ -100,11 +100,11 @@ def add_light(
     there = places[rays] + hits.ranks[some][:, None] * down
     found = np.zeros((len(some), 3), np.float32)
     each = np.arange(len(some), dtype=np.uint32)
-    borrow_light(picture, there, each, hits.points[some], walls_of(hits.sides[some]), found)
+    borrow_light(picture, there, each, hits.points[some], wall_numbers(hits.sides[some]), found)
     np.add.at(light, rays, hits.weights[some][:, None] * found)
 
 
-def walls_of(sides: np.ndarray) -> np.ndarray:
+def wall_numbers(sides: np.ndarray) -> np.ndarray:
     """Return the walls that hits on these ``sides`` (k,) are on: NO_WALL on a surface, WINDOW_FACE
     on a face; (k,) int8.
     """

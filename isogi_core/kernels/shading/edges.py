@@ -111,8 +111,8 @@ def add_pixel(shown, x, y, sample, unit, total):
 
     ``sample`` is (points, row, number): the point whose light is sought, and its wall. ``unit`` is
     the inverse square of a pixel's side at its distance. The weight is the inverse fourth power of
-    the distance between the pixel's point and the sample's, in pixels; where walls meet, pixels of
-    either are near.
+    the distance between the pixel's point and the sample's, in pixels, times ELSEWHERE if these
+    are on two walls: where walls meet, both are near.
     """
     height, width = shown.rows.shape
     if x < 0 or y < 0 or x >= width or y >= height or shown.rows[y, x] < 0:
