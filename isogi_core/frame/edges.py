@@ -1,7 +1,7 @@
 """Smooth edges: pixels at silhouettes, creases and edges of shadows take more samples.
 
-Each sample casts a ray, and borrows its light from the pixels around that show the surface next to
-its hit: no sample is shaded by itself.
+Each sample casts a ray, and borrows its light from the pixels around that show the surface, or the
+same wall, next to its hit: no sample is shaded by itself.
 """
 
 from dataclasses import replace
@@ -15,7 +15,7 @@ from isogi_core.frame.gbuffer import TILE_RAYS, sight_of, view_pinhole
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.edges import Shown, borrow_light, find_contrasts
 from isogi_core.kernels.tracing.camera import trace_places
-from isogi_core.kernels.tracing.walls import Walls
+from isogi_core.kernels.tracing.walls import NO_WALL, Walls
 from isogi_core.prepared.prepared_scene import PreparedScene
 
 COUNTS = (16, 8, 4)
@@ -118,9 +118,10 @@ def sample_edges(
     def _piece(a: int, b: int) -> None:
         found = np.empty(b - a, np.uint32)
         points = np.empty((b - a, 3), np.float32)
-        hits = trace_places(traced, sight, camera, places[a:b], found, points)
+        numbers = np.empty(b - a, np.int8)
+        hits = trace_places(traced, sight, camera, places[a:b], found, points, numbers)
         on[a:b][found[:hits]] = True
-        borrow_light(shown, places[a:b], found[:hits], points[:hits], light[a:b])
+        borrow_light(shown, places[a:b], found[:hits], points[:hits], numbers[:hits], light[a:b])
 
     tiles.run(_piece, len(places), TILE_RAYS)
     # Samples that meet nothing may show glow in front of the background.
@@ -147,16 +148,17 @@ def shown_by(frame: Frame) -> Shown:
     gbuffer = frame.gbuffer
     rows = gbuffer.rows
     points = gbuffer.points
+    numbers = np.full(len(points), NO_WALL, np.int8)
     # Number the points of walls and faces after those of the surface.
     for others in (gbuffer.walls, gbuffer.faces):
         count = len(others.pixels)
         if count:
             rows.flat[others.pixels] = np.arange(len(points), len(points) + count, dtype=np.int32)
             points = np.concatenate([points, others.points])
+            numbers = np.concatenate([numbers, others.numbers])
     pixel = view.camera.pixel_size(view.whole[1])
     x, y, z = gbuffer.spacing
     scale = np.float32(x), np.float32(y), np.float32(z)
     eye = np.float32(gbuffer.eye[0]), np.float32(gbuffer.eye[1]), np.float32(gbuffer.eye[2])
-    return Shown(
-        rows, points, frame.radiance.reshape(-1, 3), scale, eye, np.float32(1.0 / pixel**2)
-    )
+    light = frame.radiance.reshape(-1, 3)
+    return Shown(rows, points, numbers, light, scale, eye, np.float32(1.0 / pixel**2))

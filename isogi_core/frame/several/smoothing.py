@@ -18,6 +18,7 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.edges import Shown, borrow_light
 from isogi_core.kernels.tracing.camera import WINDOW_FACE
 from isogi_core.kernels.tracing.peels import FIRST_WALL_SIDE
+from isogi_core.kernels.tracing.walls import NO_WALL
 
 
 def smooth_surfaces(
@@ -98,5 +99,14 @@ def add_light(
     # Layer k of a tall picture lies k heights below.
     there = places[rays] + hits.ranks[some][:, None] * down
     found = np.zeros((len(some), 3), np.float32)
-    borrow_light(picture, there, np.arange(len(some), dtype=np.uint32), hits.points[some], found)
+    each = np.arange(len(some), dtype=np.uint32)
+    borrow_light(picture, there, each, hits.points[some], wall_numbers(hits.sides[some]), found)
     np.add.at(light, rays, hits.weights[some][:, None] * found)
+
+
+def wall_numbers(sides: np.ndarray) -> np.ndarray:
+    """Return the walls that hits on these ``sides`` (k,) are on: NO_WALL on a surface, WINDOW_FACE
+    on a face; (k,) int8.
+    """
+    walls = np.where(sides < FIRST_WALL_SIDE, np.minimum(sides, NO_WALL), sides - FIRST_WALL_SIDE)
+    return walls.astype(np.int8)

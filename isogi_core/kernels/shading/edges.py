@@ -12,6 +12,9 @@ from isogi_core.kernels._jit import kernel, record
 NEAR_CENTRE = np.float32(0.1**2)
 """Squared distance, in pixels, within which a sample counts as lying at the middle of a pixel."""
 
+ELSEWHERE = np.float32(1e-6)
+"""Weight of a pixel that shows another wall than a sample: it counts if no other does."""
+
 HALF_F32 = np.float32(0.5)
 ZERO_F32 = np.float32(0.0)
 
@@ -60,16 +63,18 @@ class Shown(NamedTuple):
 
     - ``rows`` (h, w) int32: number of the surface point that a pixel shows, -1 if none.
     - ``points`` (m, 3): these points in index space.
+    - ``numbers`` (m,) int8: the walls that these are on, NO_WALL for the surface, or WINDOW_FACE.
     - ``radiance`` (h · w, 3): linear RGB.
     - ``spacing``: world units per voxel along x, y, z.
     - ``eye``: in index space.
     - ``fine``: inverse square of a pixel's side at distance 1.
 
-    All but ``rows`` are float32.
+    All others are float32.
     """
 
     rows: Any
     points: Any
+    numbers: Any
     radiance: Any
     spacing: Any
     eye: Any
@@ -80,6 +85,7 @@ SHOWN_RECORD = record(
     Shown,
     types.int32[:, ::1],
     types.float32[:, ::1],
+    types.int8[::1],
     types.float32[:, ::1],
     types.UniTuple(types.float32, 3),
     types.UniTuple(types.float32, 3),
@@ -103,20 +109,23 @@ def add_pixel(shown, x, y, sample, unit, total):
     """Return ``total`` = (r, g, b, weight) plus the weighted light of pixel (x, y), if that shows
     the surface.
 
-    ``sample`` is (points, row): the point whose light is sought. ``unit`` is the inverse square of
-    a pixel's side at its distance. The weight is the inverse fourth power of the distance between
-    the pixel's point and the sample's, in pixels.
+    ``sample`` is (points, row, number): the point whose light is sought, and its wall. ``unit`` is
+    the inverse square of a pixel's side at its distance. The weight is the inverse fourth power of
+    the distance between the pixel's point and the sample's, in pixels, times ELSEWHERE if these
+    are on two walls: where walls meet, both are near.
     """
     height, width = shown.rows.shape
     if x < 0 or y < 0 or x >= width or y >= height or shown.rows[y, x] < 0:
         return total
-    points, m = sample
+    points, m, number = sample
     row = shown.rows[y, x]
     pixel = y * width + x
     there = shown.points[row, 0], shown.points[row, 1], shown.points[row, 2]
     # Weigh the pixel by the distance of its point; NEAR_CENTRE keeps the weight finite.
     near = squared_distance(shown.spacing, points, m, there) * unit + NEAR_CENTRE
     weight = np.float32(1.0) / (near * near)
+    if shown.numbers[row] != number:
+        weight = weight * ELSEWHERE
     r, g, b, w = total
     light = shown.radiance
     return (
@@ -133,12 +142,14 @@ def add_pixel(shown, x, y, sample, unit, total):
         types.float32[:, ::1],
         types.uint32[::1],
         types.float32[:, ::1],
+        types.int8[::1],
         types.float32[:, ::1],
     )
 )
-def borrow_light(shown, places, found, points, light):
-    """Fill rows ``found`` (k,) of ``light`` (n, 3) with the light of surface ``points`` (k, 3),
-    seen at ``places`` (n, 2; x, y), from the pixels around.
+def borrow_light(shown, places, found, points, numbers, light):
+    """Fill rows ``found`` (k,) of ``light`` (n, 3) with the light of ``points`` (k, 3) on the walls
+    with these ``numbers`` (k,), or on the surface, seen at ``places`` (n, 2; x, y), from the pixels
+    around.
 
     It is the weighted mean of the four pixels around the place, or, if none of them shows the
     surface, of the ring of twelve around these. Rows stay as they are if neither does.
@@ -155,7 +166,7 @@ def borrow_light(shown, places, found, points, light):
             if total[3] == ZERO_F32:
                 for v in range(y - ring, y + 2 + ring):
                     for u in range(x - ring, x + 2 + ring):
-                        total = add_pixel(shown, u, v, (points, m), unit, total)
+                        total = add_pixel(shown, u, v, (points, m, numbers[m]), unit, total)
         if total[3] > ZERO_F32:
             for c in range(3):
                 light[i, c] = total[c] / total[3]

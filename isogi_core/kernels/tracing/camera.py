@@ -223,14 +223,20 @@ def trace_pixels(surface, sight, camera, first, width, pixels, points, numbers):
 
 @kernel(
     types.int64(
-        SURFACE, SIGHT, PINHOLE, types.float32[:, ::1], types.uint32[::1], types.float32[:, ::1]
+        SURFACE,
+        SIGHT,
+        PINHOLE,
+        types.float32[:, ::1],
+        types.uint32[::1],
+        types.float32[:, ::1],
+        types.int8[::1],
     )
 )
-def trace_places(surface, sight, camera, places, found, points):
+def trace_places(surface, sight, camera, places, found, points, numbers):
     """Cast the rays through the ``places`` (n, 2; x, y) of a picture; return how many hit anything.
 
-    Their rows go to ``found`` (n,), ascending, and their hit points in index space to ``points``
-    (n, 3).
+    Their rows go to ``found`` (n,), ascending, their hit points in index space to ``points`` (n,
+    3), and the wall's number, WINDOW_FACE or NO_WALL to ``numbers`` (n,).
     """
     count = places.shape[0]
     directions = np.empty((3, count))
@@ -239,7 +245,10 @@ def trace_places(surface, sight, camera, places, found, points):
     for i in range(count):
         put_column(directions, i, pixel_ray(camera, places[i, 0], places[i, 1]))
     cast_sight(surface, sight, camera.eye, directions, t, met)
-    return write_hits(camera.eye, directions, t, 0, found, points)
+    hits = write_hits(camera.eye, directions, t, 0, found, points)
+    for i in range(hits):
+        numbers[i] = np.int8(met[found[i]])
+    return hits
 
 
 @kernel(types.void(VOXEL_ARRAY, types.float32[:, ::1], types.float32[::1]))
