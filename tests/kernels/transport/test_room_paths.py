@@ -23,7 +23,7 @@ def test_paths_in_rooms_are_those_of_one_ray_at_a_time(light: str, coloured: boo
     """A floor, a lit panel with two sides, and one with a dark back, about a surface with one
     albedo or colours.
     """
-    (samples,) = few((64,), (4,))
+    (samples,) = few((64,), (16,))
     field = field_of(NOISY, (0.5, 1.0, 2.0))
     codes = np.random.default_rng(4).integers(1, 256, (21, 41, 41))
     colours = colours_of(
@@ -68,11 +68,11 @@ def test_a_glowing_room_lights_a_ball_in_it_evenly() -> None:
     """Black walls of radiance L are all that a convex body sees, whichever way its surface
     looks.
     """
-    (samples,) = few((2048,), (16,))
+    (samples,) = few((2048,), (64,))
     room = room_of([(corner - 30.0, *rest) for corner, *rest in box(100.0, 0.0, 3.0)])
     points, normals = on_ball(8)
     found = gather(field_of(BALL), room, (points.T, normals.T, [NO_WALL] * 8), samples)
-    np.testing.assert_allclose(found, 3.0, rtol=1e-3)
+    np.testing.assert_allclose(found, 3.0, rtol=1e-3 if samples > 64 else 0.05)
 
 
 def polygon(p, n, corners):

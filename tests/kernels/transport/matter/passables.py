@@ -30,7 +30,7 @@ def passable(walls=(), index=1.5, absorption=0.0, extinction=0.0, albedo=1.0):
     return Passable(room_of(list(walls)), matter)
 
 
-def gather(field, met, starts, samples, light=None, bounces=0):
+def gather(field, met, starts, samples, light=None, bounces=0, survival=1.0):
     """What paths bring (g, 3) to ``starts``: points and normals (g, 3), and what is in place of
     walls' numbers (g,).
     """
@@ -39,7 +39,7 @@ def gather(field, met, starts, samples, light=None, bounces=0):
     here = np.ascontiguousarray((points / field.spacing).T)
     around = np.ascontiguousarray(normals.T)
     starts = PathStarts(here, around, np.zeros(g), np.arange(1, g + 1, dtype=np.uint64), walls)
-    rules = PathRules(np.ones((bounces + 1, 3)), 1.0)
+    rules = PathRules(np.ones((bounces + 1, 3)), survival)
     sums = np.zeros((g, 3))
     some = SampleRange(0, samples)
     around = light or sky(0.0)

@@ -10,7 +10,7 @@ import pytest
 from isogi_core.kernels.transport.matter.matter_paths import ALONG_RAY, INWARD
 from isogi_core.kernels.transport.sampling import fresnel, mirror, refract
 from tests.kernels.fields import field_of
-from tests.kernels.rooms import sky, wall
+from tests.kernels.rooms import box, sky, wall
 from tests.kernels.transport.matter.passables import ball, gather, passable, slab
 from tests.scale import COMPILED, few
 
@@ -83,6 +83,16 @@ def test_a_slab_passes_what_fresnel_and_beer_leave():
     found = gather(slab(2.0, 5.0), met, ([(3.2, 3.4, 20.0)], [(0, 0, -1.0)], [ALONG_RAY]), 1 << 14)
     true = (1.0 - mirrored) ** 2 * left / (1.0 - mirrored**2 * left**2)
     assert found[0] == pytest.approx(true, rel=0.005)
+
+
+@pytest.mark.parametrize("survival", [1.0, 0.6])
+def test_a_glowing_room_is_as_bright_about_clear_matter(survival):
+    """L (1 - ρ^(n + 1)) / (1 - ρ) arrives at its walls, past a ball that bends nothing."""
+    met = passable([(corner - 2.0, *rest) for corner, *rest in box(16.0, 0.5, 2.0)], index=1.0)
+    starts = [(5.5, 4.0, -2.0), (14.0, 2.0, 6.0)], [(0, 0, 1.0), (-1.0, 0, 0)], [4, 1]
+    found = gather(ball(3.0, 12), met, starts, few(1024, 64), bounces=4, survival=survival)
+    expected = 2.0 * (1.0 - 0.5**5) / 0.5
+    np.testing.assert_allclose(found.mean(axis=0), expected, rtol=few(0.01, 0.1))
 
 
 def analytic_ball(points, samples, lamp, n, seed=1):

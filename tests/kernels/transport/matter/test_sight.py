@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from tests.kernels.fields import field_of
 from tests.kernels.rooms import room_of, sky, wall
 from tests.kernels.transport.matter.passables import LEAVES, ball, look, passable, slab
 
@@ -127,6 +128,18 @@ def test_what_went_another_way_is_told(breadth, cut):
     met = passable([floor_at(-4.0)])
     seen = look(field, met, (3.5, 3.5, 50.0), [(3.5, 3.5, 5.0)], breadth=breadth)
     assert seen.cut[0] == pytest.approx(cut, rel=1e-3 if breadth < 3 else 1.0)
+
+
+def test_a_prism_reflects_all_and_loses_nothing_by_it():
+    """Down through its top, to +x by its slope of 45°, and out of its side: two faces part rays."""
+    z, _, x = np.mgrid[:20, :20, :20].astype(float)
+    prism = field_of(np.minimum(np.minimum(14.0 - z, 16.0 - x), x + z - 16.0))
+    screen = wall((30.0, -500.0, -500.0), (0, 1e3, 0), (0, 0, 1e3), 0.5, twofold=True)
+    top = (10.7, 9.5, 14.0)
+    seen = look(prism, passable([screen]), (10.7, 9.5, 50.0), [top], breadth=1)
+    np.testing.assert_allclose(seen.points[0], (30.0, 9.5, 5.3), atol=1e-2)
+    assert seen.weights[0, 0] == pytest.approx(1.0)
+    assert seen.cut[0] == pytest.approx(2.0 * FACING, rel=1e-3)
 
 
 def test_beyond_the_last_interface_rays_go_straight_on():
