@@ -109,6 +109,14 @@ def test_texels_come_first_if_pixels_take_more_paths(bench: Workbench) -> None:
     assert bench.renderer.render(view, strict).stages
 
 
+def test_tasks_of_texels_have_a_price(bench: Workbench) -> None:
+    """Where tasks are dear, paths light a picture whose texels would come first otherwise."""
+    view = bench.view(size=4 * SIZE)
+    strict = Goal.checked(0.002)
+    assert bench.renderer.refine(view, strict, prices=Prices(task=1e12))
+    assert bench.renderer.render(view, strict).goes_without_texels
+
+
 def test_a_picture_with_all_its_texels_has_nothing_to_decide(bench: Workbench) -> None:
     """It is measured, as ever."""
     frame = bench.bake(bench.view(size=32))
