@@ -207,7 +207,7 @@ def test_a_transfer_that_memory_lost_begins_anew(bench: Workbench) -> None:
     settled(bench, view)
     renderer = bench.renderer
     goal = Goal.checked(TARGET / 10.0)
-    counts = []
+    counts = list[int]()
     while renderer.refine(turned(view, 40.0), goal) and len(counts) < 4:
         counts.append(known(renderer.render(turned(view, 40.0), goal)).transferred)
         renderer.surface.kept.drop(transfer_key(view))
