@@ -11,7 +11,7 @@ from isogi_core.bake.texel_light import Light
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.pixel_rays import variance_of_mean
-from isogi_core.frame.rays.point_transfer import times_light
+from isogi_core.frame.rays.point_transfer import place_of, times_light
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.scene_plan import GLOW_KIND, GlowLayer, Layer
 from isogi_core.model.volume import Isovalue
@@ -152,8 +152,7 @@ def bake_place(
     # each pixel a seed that no texel has.
     numbers = np.full((len(pixels), 3), OUTSIDE_LATTICE, np.int32)
     numbers[:, 2] = pixels
-    here, outward = (np.ascontiguousarray(each.T, np.float64) for each in (points, normals))
-    return numbers, here, outward, np.full(len(pixels), isovalue)
+    return place_of(numbers, points, normals, isovalue)
 
 
 def light_of_halves(turned: RotatedLight, place: Place, samples: int) -> np.ndarray:

@@ -115,13 +115,11 @@ class ViewChecks(Refinement[PictureCheck]):
 
     def advance(self, found: PictureCheck, frame: Frame, shot: Shot, prices: Prices) -> bool:
         """Take one step of the check ``found``: see ``Refinement``."""
-        # Decide first if the picture is to read texels at all.
-        if frame.undecided and found.known.lit_by is None:
-            self._decide(found, frame, shot, prices)
-            return True
+        # Decide first what lights the picture. If that is not light which is there, the picture is
+        # drawn again before it is measured.
         if found.known.lit_by is None:
-            self._begin(found, shot, prices)
-            if found.known.lit_by == "transfer":
+            self._begin(found, frame, shot, prices)
+            if frame.undecided or found.known.goes_without_texels:
                 return True
         # More paths of the transfer come before the picture is measured.
         if found.known.lit_by == "transfer":
@@ -157,13 +155,19 @@ class ViewChecks(Refinement[PictureCheck]):
             self._transfer_of(shot).give_up(shot)
         return taken
 
-    def _begin(self, check: PictureCheck, shot: Shot, prices: Prices) -> None:
-        """Begin the ``check`` of a picture whose texels have light: by its transfer if paths lit
-        the view before its light turned, else by its texels, even if light of these is lost later.
-        Raises Cancelled.
+    def _begin(self, check: PictureCheck, frame: Frame, shot: Shot, prices: Prices) -> None:
+        """Begin the ``check`` of a picture. Raises Cancelled.
+
+        Its texels light it if they are to be baked in any case; its transfer does if paths lit the
+        view before its light turned, as it may turn on; paths may do if its texels are not baked
+        yet; else its texels do, even if light of these is lost later.
         """
-        if not math.isinf(prices.alone) and self._has_turned(shot):
+        if math.isinf(prices.alone):
+            check.light_by_texels()
+        elif self._has_turned(shot):
             self._transfer(check, shot)
+        elif frame.undecided:
+            self._decide(check, frame, shot, prices)
         else:
             check.light_by_texels()
 
@@ -177,13 +181,6 @@ class ViewChecks(Refinement[PictureCheck]):
         """
         lacking = frame.quality.lacking
         assert lacking is not None, "a picture that reads no texels has nothing to decide"
-        if math.isinf(prices.alone):
-            check.light_by_texels()
-            return
-        # Light that has turned since paths lit the view, and may turn on, is that of its transfer.
-        if self._has_turned(shot):
-            self._transfer(check, shot)
-            return
         target = shot.goal.error
         scouted = check.scout(frame.gbuffer, shot.tiles)
         effort = scouted.effort(PATHS_RATE)
@@ -227,8 +224,9 @@ class ViewChecks(Refinement[PictureCheck]):
         """
         transfer = self._transfer_of(shot)
         shown = check.known.transferred
-        # A transfer that was given up meanwhile grows no more.
-        if shown and transfer.is_vain(shot):
+        # A picture that began with the transfer keeps the paths that it shows if the transfer was
+        # given up meanwhile.
+        if shown > 0 and transfer.is_vain(shot):
             check.end_transfer()
             return
         # The first paths are shown soon. If memory had no room for the transfer, it begins anew,
@@ -391,9 +389,11 @@ def doubt_of_carried(check: PictureCheck, frame: Frame) -> np.ndarray:
 
 def doubt_of_transfer(frame: Frame) -> np.ndarray:
     """Return the uncertainty of luminance of the points of a ``frame`` that their transfer lights,
-    besides its noise: half of what the plan expects of light that harmonics cut off; (m,).
+    besides its noise; (m,). Controls are drawn by it.
 
-    It is the same for all points, as nothing tells where the light is sharper than harmonics.
+    It is half of the error that the plan expects, mostly of light that is sharper than harmonics:
+    less than the error itself, as the noise is to tell most of where controls are drawn. It is the
+    same for all points, as nothing tells where light is that sharp.
     """
     light = frame.luminance(frame.gbuffer.pixels)
     return np.full(len(light), 0.5 * frame.quality.expected * float(light.mean()))

@@ -533,7 +533,7 @@ class PictureCheck:
         growth = self.growing
         if growth is not None:
             return len(growth.choice.places) == len(growth.choice.errors)
-        return len(self.known.own.places) == len(self.known.own.expected) > 0
+        return self.known.all_points
 
     @property
     def untouched(self) -> bool:

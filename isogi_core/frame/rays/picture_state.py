@@ -62,7 +62,12 @@ class PictureState:
     @property
     def covers(self) -> bool:
         """True if each surface point of a picture by paths has light of its own."""
-        return self.lit_by == "paths" and len(self.own.places) == len(self.own.expected) > 0
+        return self.lit_by == "paths" and self.all_points
+
+    @property
+    def all_points(self) -> bool:
+        """True if each surface point has light of its own."""
+        return len(self.own.places) == len(self.own.expected) > 0
 
     @property
     def transferred(self) -> int:

@@ -74,7 +74,7 @@ class PointTransfer:
         points = gbuffer.shown(shot.tiles)
         samples = next_level(self.samples)
         more = samples - self.samples
-        # Paths do not branch: branches pay for texels, whose first samples are few and dear.
+        # Paths do not branch: branches pay off for texels, whose first samples are few and dear.
         spec = shot.light.spec
         spec = replace(spec, plan=replace(spec.plan, branches=1))
         # Copy the sums, as another thread may read them.
@@ -85,10 +85,12 @@ class PointTransfer:
 
         # Trace the paths of some points together, and add their harmonics to those of each layer.
         def _piece(a: int, b: int) -> None:
-            place = place_of(points.pixels[a:b], points.points[a:b], points.normals[a:b], isovalue)
-            found = sample_transfer(layers, place, np.zeros(b - a, bool), spec, self.samples, more)
-            for kept, layer, (halves, _) in zip(sums, layers, found, strict=True):
-                kept[a:b] += halves[..., : layer.order**2]
+            names = names_of(points.pixels[a:b])
+            place = place_of(names, points.points[a:b], points.normals[a:b], isovalue)
+            none_void = np.zeros(b - a, bool)
+            found = sample_transfer(layers, place, none_void, spec, self.samples, more)
+            for kept, layer, (replicas, _) in zip(sums, layers, found, strict=True):
+                kept[a:b] += replicas[..., : layer.order**2]
 
         # Other work may go first between two passes.
         for some in passes(len(gbuffer.points), more, shot.tiles):
@@ -189,10 +191,12 @@ class ViewTransfer:
             return self.newest
 
     def give_up(self, shot: Shot) -> None:
-        """Note that all points of a ``shot`` took light of their own. If it was the first that the
-        transfer lit, no other one of its target error will use it.
+        """Note that all points of a ``shot`` took light of their own. If it has the first rotation
+        that the transfer lit, pictures with its target error or a smaller one will not use the
+        transfer, and its sums are dropped.
 
-        Later ones may be dark, so that no transfer serves them; it costs them nothing.
+        The picture of a later rotation may be so dark that the transfer spares it no paths. That
+        is no reason to give it up: its paths were traced before.
         """
         with self._lock:
             if shot.view.light == self.first:
@@ -218,32 +222,39 @@ def times_light(
     """
     found = np.zeros((*sums[0].shape[:2], 3))
     for each, layer in zip(sums, layers, strict=True):
-        met = light.albedo[:, None] * light.light_of(layer)
-        n = min(layer.order**2, met.shape[1])
-        # Layers of one channel reflect all colours alike.
+        reflected = light.albedo[:, None] * light.light_of(layer)
+        n = min(layer.order**2, reflected.shape[1])
+        # Layers of one channel reflect all colours alike. Others are brought to the three colours.
         if layer.channels == 1:
-            found += each[:, :, 0, :n] @ met[:, :n].T.astype(each.dtype)
+            found += each[:, :, 0, :n] @ reflected[:, :n].T.astype(each.dtype)
         else:
             colours = light.colours_of(layer, each)
-            found += np.einsum("mrcn,cn->mrc", colours[..., :n], met[:, :n])
+            found += np.einsum("mrcn,cn->mrc", colours[..., :n], reflected[:, :n])
     return found
 
 
-def place_of(
-    pixels: np.ndarray, points: np.ndarray, normals: np.ndarray, isovalue: Isovalue
-) -> Place:
-    """Return the surface points of ``pixels`` (m,), picture indices, in the form in which a bake
-    takes texels, so that its paths start exactly there.
-
-    ``points`` (m, 3) are in index space, ``normals`` (m, 3) are outward unit world vectors; all
-    points lie on one surface, at the ``isovalue``.
+def names_of(pixels: np.ndarray) -> np.ndarray:
+    """Return indices in place of those of texels, (m, 3; z, y, x) int32, for the points that the
+    ``pixels`` (m,), picture indices, show.
     """
-    # A bake reads the lattice indices (z, y, x) of texels only to seed their random numbers.
-    numbers = np.zeros((len(pixels), 3), np.int32)
-    numbers[:, 0] = pixels
-    numbers[:, 2] = OUTSIDE_LATTICE
+    names = np.zeros((len(pixels), 3), np.int32)
+    names[:, 0] = pixels
+    names[:, 2] = OUTSIDE_LATTICE
+    return names
+
+
+def place_of(
+    names: np.ndarray, points: np.ndarray, normals: np.ndarray, isovalue: Isovalue
+) -> Place:
+    """Return surface points in the form in which a bake takes texels, so that its paths start
+    exactly there.
+
+    ``names`` (m, 3; z, y, x) int32 take the place of texels' indices, which a bake reads only to
+    seed random numbers. ``points`` (m, 3) are in index space, ``normals`` (m, 3) are outward unit
+    world vectors; all points lie on one surface, at the ``isovalue``.
+    """
     here, outward = (np.ascontiguousarray(each.T, np.float64) for each in (points, normals))
-    return numbers, here, outward, np.full(len(pixels), isovalue, np.float64)
+    return names, here, outward, np.full(len(names), isovalue, np.float64)
 
 
 def layers_of(light: RotatedLight) -> tuple[Layer, ...]:

@@ -27,13 +27,7 @@ from isogi_core.prepared.active_cell_maps import IdleVoxels
 from isogi_core.storage.atomic_file import write_whole
 from isogi_server.answers import camera_schema, card_scene, scene_schema
 from isogi_server.card_schemas import CardSlab
-from isogi_server.exports.page_files import (
-    LEVEL,
-    WEB_FOLDER,
-    compressed,
-    joined_modules,
-    shaders,
-)
+from isogi_server.exports.page_files import WEB_FOLDER, compressed, joined_modules, shaders
 from isogi_server.parameters import FrameParams
 from isogi_server.pictures import encode
 from isogi_server.schemas import CameraSchema, Histogram, Range, SceneSchema
@@ -45,9 +39,6 @@ FIRST_PAGE_MODULE = "published/published.js"
 
 FOLDERS = ("light", "volume", "colours")
 """Folders of a page's files: light of texels, voxels, and colours by data."""
-
-GZIP_BITS = 31
-"""What zlib takes for gzip's form, with its largest window."""
 
 COARSE_LIGHT = "light/coarse.bin"
 """The file with the light of bricks, which stands in until that of texels is there."""
@@ -116,7 +107,9 @@ def volume_files(renderer: Renderer, span: Span) -> dict[str, bytes]:
     for a, b in codes.slabs:
         layers = voxels.flattened(a, b)
         needed = voxels.needed(a, b) | np.isnan(layers)
-        files[slab_name(a, b)] = packed(voxels_file(codes.code(layers), needed))
+        files[slab_name(a, b)] = compressed(
+            voxels_file(codes.code(layers), needed), zlib.Z_FILTERED
+        )
     return files
 
 
@@ -160,16 +153,9 @@ def light_files(
         some = chunks[start : start + CHUNKS]
         fine, coarse = coded_chunks(renderer, some, goal, codings, renderer.tiles)
         means.append(coarse)
-        files[f"light/{number}.bin"] = packed(light_file(fine))
-    return {COARSE_LIGHT: packed(light_file(join_light(means))), **files}
-
-
-def packed(content: bytes) -> bytes:
-    """Compress tables by gzip, without its time. Their bytes are noisy: few repetitions of them are
-    taken, as most happen by chance and cost more than they save.
-    """
-    packing = zlib.compressobj(LEVEL, wbits=GZIP_BITS, strategy=zlib.Z_FILTERED)
-    return packing.compress(content) + packing.flush()
+        files[f"light/{number}.bin"] = compressed(light_file(fine), zlib.Z_FILTERED)
+    coarse_light = compressed(light_file(join_light(means)), zlib.Z_FILTERED)
+    return {COARSE_LIGHT: coarse_light, **files}
 
 
 def first_view(

@@ -2,12 +2,12 @@
 shaders into one; each compressed once.
 """
 
-import gzip
 import hashlib
 import json
 import mimetypes
 import posixpath
 import re
+import zlib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -26,7 +26,10 @@ SUFFIXES = {".js", ".css", ".glsl", ".svg", ".html"}
 """Suffixes of files that browsers may ask for."""
 
 LEVEL = 9
-"""Level of gzip: each file is compressed only once."""
+GZIP_BITS = 31
+"""Level of gzip, as each file is compressed only once; and what zlib takes for gzip's form, with
+its largest window.
+"""
 
 MODULE_IMPORT = re.compile(r'^(?:import|export) [^;]*?from "(\.[^"]+)";$', re.MULTILINE)
 """Imports and re-exports of a module, as the page's modules write them."""
@@ -59,9 +62,14 @@ class PageFile:
         return digest_of(self.content)
 
 
-def compressed(content: bytes) -> bytes:
-    """Compress a file by gzip, without its time, so that equal content gives equal bytes."""
-    return gzip.compress(content, LEVEL, mtime=0)
+def compressed(content: bytes, strategy: int = zlib.Z_DEFAULT_STRATEGY) -> bytes:
+    """Compress a file by gzip, without its time, so that equal content gives equal bytes.
+
+    ``strategy`` is one of zlib's: Z_FILTERED for noisy numbers, as most repetitions of their bytes
+    happen by chance and cost more than they save.
+    """
+    packing = zlib.compressobj(LEVEL, wbits=GZIP_BITS, strategy=strategy)
+    return packing.compress(content) + packing.flush()
 
 
 def digest_of(content: bytes) -> str:
