@@ -358,10 +358,11 @@ def efforts(
     samples: np.ndarray,
     goal: Goal,
 ) -> np.ndarray:
-    """Return ``Effort.of`` the texels of each of ``count`` chunks for a ``goal``, (count, 5)
-    float64; ``chunks`` holds each texel's chunk.
+    """Return the fields of ``Effort`` for a ``goal``, of the texels of each of ``count`` chunks,
+    (count, 5) float64: unlit, taken, left, expected, lit. ``chunks`` holds each texel's chunk.
     """
-    # Sum the columns of Effort over each chunk; samples expected of unlit texels are not known.
+    # Sum each field over the texels of a chunk. Samples expected of unlit texels are not known, and
+    # stay 0; texels with light that are good enough count in no field.
     unlit = samples == 0
     waiting = (samples > 0) & ~good_enough(error, samples, goal)
     left = samples_left(error[waiting], samples[waiting], goal)

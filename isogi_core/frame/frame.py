@@ -399,7 +399,7 @@ class Frame:
         return self.quality.known.transferred if self.quality.known else 0
 
     @property
-    def noise_of_transfer(self) -> float:
+    def variance_of_transfer(self) -> float:
         """The sum of the variances of luminance by the transfer of points; 0 if none lights the
         picture.
         """

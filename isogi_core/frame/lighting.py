@@ -126,10 +126,8 @@ class RotatedLight:
         return self.spec.prepared.scene.surfaces.colours is not None
 
     def tints(self, gbuffer: GBuffer, tiles: Tiles) -> np.ndarray:
-        """Return the albedo of a coloured surface over ``albedo`` at each point of a G-buffer; (m,
-        3) float32 from 0 to 1.
-
-        Raises Cancelled.
+        """Return the albedo of a coloured surface at each point of a G-buffer, over ``albedo``,
+        which is the brightest of its colours; (m, 3) float32 from 0 to 1. Raises Cancelled.
         """
         found = gbuffer.albedos(self.spec.prepared.colours, tiles)
         return np.asarray(found / np.maximum(self.albedo, 1e-30).astype(np.float32))

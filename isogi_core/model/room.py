@@ -57,6 +57,7 @@ class Wall:
     @property
     def lamps(self) -> tuple[AreaLight, ...]:
         """Light of the wall as area lights, one for each lit side; empty if it gives off none."""
+        # Edges in turn span the front of the wall; swapped, they span its back.
         u, v = self.edges
         both = (
             AreaLight(self.corner, u, v, self.radiance),

@@ -38,7 +38,7 @@ class CodedLight(NamedTuple):
 
 def code_light(chunks: ChunkTexels, normals: np.ndarray, codes: np.ndarray) -> CodedLight:
     """Return the light of ``chunks`` from the ``normals`` (m, 3) and the ``codes`` (m, n) of their
-    texels. Chunks without light are left out.
+    texels. Chunks without texels are left out.
     """
     found = find_records(chunks, normals, codes)
     order = found.order

@@ -10,25 +10,26 @@ from isogi_core.frame.card.coding import byte_planes, fold_signs
 
 
 def voxels_file(codes: np.ndarray, needed: np.ndarray) -> bytes:
-    """Return the file of some layers of a volume, ``codes`` (layers, ny, nx), which are given
-    exactly.
+    """Return the file of some layers of a volume, from which their ``codes`` (layers, ny, nx)
+    can be read exactly.
 
-    Few bytes are taken if all voxels that are not ``needed`` (layers, ny, nx) have one of two
-    values, and each has that of the voxel before it, unless that one is needed.
+    Voxels that are not ``needed`` (layers, ny, nx) are idle. A reader guesses that a voxel which
+    the file does not state has the least idle value if the voxel before it is at most that, and
+    else the greatest. So idle voxels take few bytes if they have two values, in large regions.
     """
     idle = codes[~needed]
     if idle.size:
-        ends = np.array([idle.min(), idle.max()], codes.dtype)
+        sides = np.array([idle.min(), idle.max()], codes.dtype)
     else:
-        ends = np.zeros(2, codes.dtype)
+        sides = np.zeros(2, codes.dtype)
     # State each voxel that a reader would guess wrongly.
     before = voxels_before(codes)
-    stated = needed | (codes != np.where(before <= ends[0], ends[0], ends[1]))
+    stated = needed | (codes != np.where(before <= sides[0], sides[0], sides[1]))
     # Mark where stated voxels begin and end along z: borders are fewer than voxels.
     changes = stated.copy()
     changes[1:] ^= stated[:-1]
     marks = np.packbits(changes, axis=0, bitorder="little")
-    return ends.tobytes() + marks.tobytes() + byte_planes(differences(codes)[stated])
+    return sides.tobytes() + marks.tobytes() + byte_planes(differences(codes)[stated])
 
 
 def voxels_before(codes: np.ndarray) -> np.ndarray:

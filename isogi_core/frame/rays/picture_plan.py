@@ -179,15 +179,15 @@ class PixelLightCost:
 
 
 def noise_of_climbers(frame: Frame) -> float:
-    """Return the share of a picture's noise variance that comes from texels which would take more
-    samples; from 0 to 1.
+    """Return the share of a picture's noise variance that falls if its texels, or the transfer of
+    its points, climb a rung; from 0 to 1.
 
-    If the transfer of its points lights it, that is all noise but that of lobes; it is 0 if the
-    picture reads no texels otherwise.
+    Of texels, only those climb that would take more samples. Of a picture by transfer, all noise
+    falls but that of lobes. If neither lights the picture, the share is 0.
     """
     if frame.transferred:
         shown = float((frame.pixel_noise**2).sum())
-        return min(frame.noise_of_transfer / max(shown, 1e-300), 1.0)
+        return min(frame.variance_of_transfer / max(shown, 1e-300), 1.0)
     if (lacking := frame.quality.lacking) is None:
         return 0.0
     reading = lacking.reading

@@ -175,7 +175,7 @@ class ShineLight:
         error = float(((smooth - other) ** 2).mean() - ((one - other) ** 2).mean() / 2.0)
         if error >= noise:
             return sharp
-        # Tell no less than that.
+        # Report at least this error.
         filtered = self._filtered(sums.means, tiles)
         told = float(filtered.variance.mean())
         return NoisyLight(filtered.light, filtered.variance * max(error / max(told, 1e-300), 1.0))

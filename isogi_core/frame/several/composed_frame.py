@@ -223,7 +223,7 @@ def in_picture(part: Part, error: float) -> float:
     return error * part.frame.true_mean * part.weight**0.5
 
 
-def step_order(part: Part) -> tuple[bool, bool, float]:
+def step_key(part: Part) -> tuple[bool, bool, float]:
     """Return a key by which parts are sorted, in reverse, for the next step of a picture: walls
     that are coarse, as their first fine texels are cheap; those that are not measured; and then
     those of the largest error.

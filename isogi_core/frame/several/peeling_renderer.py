@@ -21,7 +21,7 @@ from isogi_core.frame.several.composed_frame import (
     ComposedFrame,
     Part,
     compose,
-    step_order,
+    step_key,
     to_refine,
 )
 from isogi_core.frame.several.mixed_reading import Level
@@ -157,7 +157,7 @@ class PeelingRenderer:
         # Walls that are coarse come first. Then measure all sides before any takes other steps:
         # together they may be at the target while one of them is not. After that the side with the
         # largest error takes the step, or else the next that has a step to take.
-        for part in sorted(waiting, key=step_order, reverse=True):
+        for part in sorted(waiting, key=step_key, reverse=True):
             renderer = self.renderer_of(part.side, view.isovalue)
             if renderer.refine_frame(part.frame, goal, tiles, prices.of_present):
                 return True

@@ -109,10 +109,11 @@ def add_pixel(shown, x, y, sample, unit, total):
     """Return ``total`` = (r, g, b, weight) plus the weighted light of pixel (x, y), if that shows
     the surface.
 
-    ``sample`` is (points, row, number): the point whose light is sought, and its wall. ``unit`` is
-    the inverse square of a pixel's side at its distance. The weight is the inverse fourth power of
-    the distance between the pixel's point and the sample's, in pixels, times ELSEWHERE if these
-    are on two walls: where walls meet, both are near.
+    ``sample`` is (points, m, number): row m of the points is the one whose light is sought, and
+    lies on the wall of this number. ``unit`` is the inverse square of a pixel's side at its
+    distance. The weight is the inverse fourth power of the distance between the pixel's point and
+    the sample's, in pixels, times ELSEWHERE if these are on two walls: where walls meet, points of
+    both are near, so that distance alone does not tell them apart.
     """
     height, width = shown.rows.shape
     if x < 0 or y < 0 or x >= width or y >= height or shown.rows[y, x] < 0:

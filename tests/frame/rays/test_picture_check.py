@@ -292,7 +292,7 @@ def test_the_transfer_of_points_climbs_as_texels_do() -> None:
         transferred=64,
         gbuffer=gbuffer,
         pixel_noise=np.full(100, 0.2),
-        noise_of_transfer=100 * 0.1**2,
+        variance_of_transfer=100 * 0.1**2,
     )
     assert noise_of_climbers(frame) == pytest.approx(0.25)
     assert climbs_of(frame, 64, 0.02)[:3] == [0.0, 6400.0, 19200.0]

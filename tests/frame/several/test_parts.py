@@ -12,7 +12,7 @@ from isogi_core.bake.noise import Goal
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.rays.control_pixels import TotalError
-from isogi_core.frame.several.composed_frame import ComposedFrame, Part, step_order, to_refine
+from isogi_core.frame.several.composed_frame import ComposedFrame, Part, step_key, to_refine
 from isogi_core.frame.several.mixed_reading import Level, MixedReading, mixed
 from isogi_core.frame.several.peels import Hits, Peeler, SideLayers, first_of, side_layers
 from isogi_core.frame.texel_reading import Reading
@@ -161,7 +161,7 @@ def test_sides_are_measured_before_the_worst_takes_steps() -> None:
     """Its steps would be in vain if all together are good enough."""
     worst = part_of(A, 0.03, measured=True)
     others = part_of(B, 0.01, measured=False), part_of(C, 0.015, measured=False)
-    assert sorted([worst, *others], key=step_order, reverse=True) == [others[1], others[0], worst]
+    assert sorted([worst, *others], key=step_key, reverse=True) == [others[1], others[0], worst]
     assert refined(worst, *others) == []
     noisy = part_of(B, 0.055, measured=False)
     assert refined(part_of(A, 0.03, measured=True), noisy, others[1]) == [B]
